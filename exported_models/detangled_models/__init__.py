@@ -1,0 +1,1 @@
+"""Exported models: ONNX files with a JSON manifest beside each. Data only."""

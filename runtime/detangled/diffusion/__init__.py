@@ -1,0 +1,1 @@
+"""The sampler and what predicts the clean signal for it."""

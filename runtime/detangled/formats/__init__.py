@@ -1,0 +1,1 @@
+"""Reading and writing grooms: one file a format."""

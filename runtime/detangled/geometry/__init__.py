@@ -1,0 +1,1 @@
+"""Strand geometry: splines, frames, canonical space, centrelines, and the kappa-tau-v signal."""

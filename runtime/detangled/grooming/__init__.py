@@ -1,0 +1,1 @@
+"""What happens to strands on a head: guides, lengths, placing."""

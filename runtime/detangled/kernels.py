@@ -1,0 +1,61 @@
+"""How numba kernels are compiled and cached: one cache for each version of the sources.
+
+numba keys its cache on the file of the compiled function alone, so an edit to a function that it calls would go
+unnoticed; and a package folder may be read-only. So the cache lives in the user's cache folder, in a directory
+named by a hash of detangled's sources, unless NUMBA_CACHE_DIR says otherwise.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import os
+import sys
+from pathlib import Path
+from typing import Any
+
+
+def _user_cache() -> Path:
+    if sys.platform == "win32":
+        return Path(os.environ.get("LOCALAPPDATA", Path.home() / "AppData" / "Local"))
+    if sys.platform == "darwin":
+        return Path.home() / "Library" / "Caches"
+    return Path(os.environ.get("XDG_CACHE_HOME", Path.home() / ".cache"))
+
+
+def cache_directory() -> Path:
+    """Where the compiled kernels of this version of detangled are kept."""
+    if "NUMBA_CACHE_DIR" in os.environ:
+        return Path(os.environ["NUMBA_CACHE_DIR"])
+    package = Path(__file__).parent
+    digest = hashlib.sha256()
+    for source in sorted(package.rglob("*.py")):
+        digest.update(source.read_bytes())
+    return _user_cache() / "detangled" / f"kernels-{digest.hexdigest()[:16]}"
+
+
+def is_first_run() -> bool:
+    """Whether nothing has been compiled yet, so that the first kernels will take a while."""
+    return not any(cache_directory().rglob("*.nbi"))
+
+
+os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_directory()))
+
+import numba  # noqa: E402  (its cache folder is read when it is imported)
+
+prange = numba.prange
+
+
+def kernel(function: Any) -> Any:
+    """Compile a function of one strand, called from other kernels."""
+    return numba.njit(function, cache=True, error_model="numpy", nogil=True)
+
+
+def parallel_kernel(function: Any) -> Any:
+    """Compile a function that runs over strands on all threads (``prange``)."""
+    return numba.njit(function, cache=True, error_model="numpy", parallel=True, nogil=True)
+
+
+def set_threads(count: int | None) -> None:
+    """Use ``count`` threads from now on; None leaves numba's own choice, all cores."""
+    if count is not None:
+        numba.set_num_threads(max(1, min(count, numba.config.NUMBA_NUM_THREADS)))

@@ -1,0 +1,59 @@
+"""Units of length. Inside detangled every length is in centimetres; files come in whatever their author used."""
+
+from __future__ import annotations
+
+import re
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.errors import ReadError
+
+CM_PER_UNIT = {"mm": 0.1, "cm": 1.0, "dm": 10.0, "m": 100.0, "in": 2.54}
+
+# A groom spans a head or a swatch: its bounding box has a diagonal near this, within a factor of about three.
+TYPICAL_DIAGONAL_CM = 35.0
+GUESSED_UNITS = ("m", "cm", "mm")
+
+_LENGTH = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Z]*)\s*")
+
+
+def guess_unit(points: NDArray[np.floating]) -> str:
+    """Name the unit in which ``points`` (P, 3) would be nearest to the size of a head of hair.
+
+    Points that are not finite are ignored. Without two distinct finite points the answer is ``"cm"``.
+    """
+    finite = points[np.isfinite(points).all(axis=1)]
+    diagonal = float(np.linalg.norm(np.ptp(finite.astype(np.float64), axis=0))) if len(finite) else 0.0
+    if diagonal == 0.0:
+        return "cm"
+    return min(
+        GUESSED_UNITS, key=lambda name: abs(np.log(diagonal * CM_PER_UNIT[name] / TYPICAL_DIAGONAL_CM))
+    )
+
+
+def cm_per_unit(name: str) -> float:
+    """Centimetres in one unit called ``name``. Raises ReadError for a name that is not known."""
+    try:
+        return CM_PER_UNIT[name]
+    except KeyError:
+        raise ReadError(f"unknown unit {name!r}: use one of {', '.join(CM_PER_UNIT)}") from None
+
+
+def unit_name(cm: float) -> str:
+    """Name the unit of ``cm`` centimetres, or say it in numbers where it has no name."""
+    for name, size in CM_PER_UNIT.items():
+        if abs(cm - size) <= 1e-9 * size:
+            return name
+    return f"{cm:g} cm"
+
+
+def parse_length(text: str) -> float:
+    """Read what a person types for a length (``4mm``, ``0.4cm``, ``0.4``: bare numbers are cm) as cm.
+
+    Raises ValueError with a sentence for the person where it is not one.
+    """
+    match = _LENGTH.fullmatch(text)
+    if match is None or (match[2] and match[2] not in CM_PER_UNIT):
+        raise ValueError(f"{text!r} is not a length: type 4mm, 0.4cm or a bare number of centimetres")
+    return float(match[1]) * CM_PER_UNIT[match[2] or "cm"]
