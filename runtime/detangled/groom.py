@@ -103,16 +103,13 @@ class Groom:
 
     def polyline_lengths(self) -> NDArray[np.float64]:
         """Sum of each strand's segment lengths, (S,) [cm]; 0 for strands of fewer than two points."""
-        if len(self.points) < 2:
-            return np.zeros(self.strand_count)
-        steps = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
-        inner = self.offsets[1:-1]
-        steps[inner[(inner > 0) & (inner < len(self.points))] - 1] = 0.0
-        total = np.concatenate([[0.0], np.cumsum(steps)])
-        # The step that leads from one strand to the next was zeroed, so a difference of sums is a strand's own.
-        last = np.maximum(self.offsets[1:] - 1, self.offsets[:-1])
-        first = np.minimum(self.offsets[:-1], len(self.points) - 1)
-        return total[np.minimum(last, len(self.points) - 1)] - total[first]
+        steps = np.zeros(len(self.points))
+        steps[1:] = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
+        # The step that leads from one strand to the next belongs to neither.
+        steps[self.offsets[:-1][self.point_counts > 0]] = 0.0
+        return np.bincount(
+            np.repeat(np.arange(self.strand_count), self.point_counts), steps, minlength=self.strand_count
+        )
 
     def select(self, strands: ArrayLike) -> Groom:
         """The groom of these strands (indices or a boolean mask), with their attributes."""
@@ -121,9 +118,9 @@ class Groom:
         offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
         rows = np.arange(offsets[-1]) - np.repeat(offsets[:-1] - self.offsets[chosen], counts)
         attributes = {
-            name: Attribute(
-                a.values[{Scope.STRAND: chosen, Scope.POINT: rows}[a.scope]], a.scope
-            ) if a.scope is not Scope.GROOM else a
+            name: Attribute(a.values[{Scope.STRAND: chosen, Scope.POINT: rows}[a.scope]], a.scope)
+            if a.scope is not Scope.GROOM
+            else a
             for name, a in self.attributes.items()
         }
         return replace(self, points=self.points[rows], offsets=offsets, attributes=attributes)

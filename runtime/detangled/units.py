@@ -1,4 +1,4 @@
-"""Units of length. Inside detangled every length is in centimetres; files come in whatever their author used."""
+"""Units of length: centimetres inside detangled, in files whatever their author used."""
 
 from __future__ import annotations
 
@@ -23,12 +23,27 @@ def guess_unit(points: NDArray[np.floating]) -> str:
 
     Points that are not finite are ignored. Without two distinct finite points the answer is ``"cm"``.
     """
-    finite = points[np.isfinite(points).all(axis=1)]
-    diagonal = float(np.linalg.norm(np.ptp(finite.astype(np.float64), axis=0))) if len(finite) else 0.0
+    low, high = _bounds(points)
+    # Nearly always every point is finite: then nothing has to be picked out and copied.
+    if not np.isfinite([low, high]).all():
+        low, high = _bounds(points[np.isfinite(points).all(axis=1)])
+    diagonal = float(np.linalg.norm(high - low))
     if diagonal == 0.0:
         return "cm"
     return min(
         GUESSED_UNITS, key=lambda name: abs(np.log(diagonal * CM_PER_UNIT[name] / TYPICAL_DIAGONAL_CM))
+    )
+
+
+def _bounds(points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The lowest and highest coordinates, (3,) each; zeros where there is no point."""
+    if not len(points):
+        return np.zeros(3), np.zeros(3)
+    # Axis by axis: NumPy is slow to reduce a long array of short rows.
+    columns = [points[:, axis] for axis in range(3)]
+    return (
+        np.array([c.min() for c in columns], dtype=np.float64),
+        np.array([c.max() for c in columns], dtype=np.float64),
     )
 
 

@@ -1,1 +1,149 @@
-"""Reading and writing grooms: one file a format."""
+"""Grooms in files: one module a format, loaded when such a file is first touched."""
+
+from __future__ import annotations
+
+import os
+import secrets
+import stat
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import contextmanager
+from dataclasses import replace
+from importlib import import_module
+from pathlib import Path
+
+import numpy as np
+
+from detangled.errors import DetangledError, ReadError, WriteError
+from detangled.groom import Attribute, Groom
+from detangled.units import cm_per_unit, guess_unit
+
+# A reader gives lengths as they stand in the file, and sets ``unit_cm`` with ``unit_source="file"`` where the
+# file says its unit. A writer gets lengths as they are to stand in the file, and says what it could not keep.
+Reader = Callable[[Path], Groom]
+Writer = Callable[[Groom, Path], list[str]]
+
+LENGTH_ATTRIBUTES = ("width",)
+
+_MODULES = {
+    ".abc": "detangled.formats.abc",
+    ".npz": "detangled.formats.npz",
+    ".obj": "detangled.formats.obj",
+}
+_UNIT_WORDS = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
+_registered: dict[str, tuple[Reader | None, Writer | None]] = {}
+
+
+def register(suffixes: Iterable[str], reader: Reader | None, writer: Writer | None) -> None:
+    """Make ``read`` and ``write`` use these functions for file names that end in one of ``suffixes``."""
+    for suffix in suffixes:
+        _registered[suffix.lower()] = (reader, writer)
+
+
+def suffixes() -> list[str]:
+    """Suffixes that can be read or written, sorted."""
+    return sorted({*_MODULES, *_registered})
+
+
+def read(path: str | os.PathLike[str], unit: str | None = None) -> Groom:
+    """Read a groom, with lengths in cm.
+
+    path: a file whose suffix is one of ``suffixes()``.
+    unit: name of the file's unit (``detangled.units.CM_PER_UNIT``); by default what the file says, else the
+        unit in which it would be nearest to the size of a head of hair, with a note.
+    Raises ReadError where the file is missing, not what its suffix says, damaged, or holds no strands.
+    """
+    path = Path(path)
+    reader = _functions(path, ReadError)[0]
+    if reader is None:
+        raise ReadError(f"{path}: files ending in {path.suffix} can be written, not read")
+    try:
+        status = path.stat()
+        if stat.S_ISDIR(status.st_mode):
+            raise ReadError(f"{path}: a folder, not a file")
+        if status.st_size == 0 and stat.S_ISREG(status.st_mode):
+            raise ReadError(f"{path}: the file is empty (0 bytes)")
+        groom = reader(path)
+    except FileNotFoundError:
+        raise ReadError(f"{path}: no such file") from None
+    except OSError as error:
+        raise ReadError(f"{path}: cannot be read: {error.strerror or error}") from error
+    except MemoryError as error:
+        raise ReadError(f"{path}: asks for more memory than there is") from error
+    if groom.strand_count == 0:
+        raise ReadError(f"{path}: holds no strands")
+    return _in_cm(groom, unit)
+
+
+def write(groom: Groom, path: str | os.PathLike[str]) -> list[str]:
+    """Write a groom in its own unit (``groom.unit_cm``), and return sentences that say what was not kept.
+
+    The file is whole or as it was before: it is written beside its target and renamed.
+    Raises WriteError where the suffix is not known or the file cannot be written.
+    """
+    path = Path(path)
+    writer = _functions(path, WriteError)[1]
+    if writer is None:
+        raise WriteError(f"{path}: files ending in {path.suffix} can be read, not written")
+    in_file_units = _scaled(groom, lambda lengths: lengths / groom.unit_cm) if groom.unit_cm != 1.0 else groom
+    with replacing(path) as beside:
+        return writer(in_file_units, beside)
+
+
+@contextmanager
+def replacing(path: Path) -> Iterator[Path]:
+    """Give a new file beside ``path`` that takes its place at the end, or vanishes where anything goes wrong.
+
+    Raises WriteError where the folder is missing or cannot be written to.
+    """
+    # What a link points to is replaced, not the link.
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise WriteError(f"{path}: a folder, not a file")
+    if not target.parent.is_dir():
+        raise WriteError(f"{path}: the folder {target.parent} does not exist")
+    beside = target.parent / f".{target.stem}.{secrets.token_hex(4)}{target.suffix}"
+    try:
+        try:
+            os.close(os.open(beside, os.O_CREAT | os.O_EXCL | os.O_WRONLY, 0o666))
+            if target.exists():
+                beside.chmod(stat.S_IMODE(target.stat().st_mode) | stat.S_IWUSR)
+            yield beside
+            os.replace(beside, target)
+        except OSError as error:
+            raise WriteError(f"{path}: cannot be written: {error.strerror or error}") from error
+    except BaseException:
+        # Interrupts too: nothing half written stays behind.
+        beside.unlink(missing_ok=True)
+        raise
+
+
+def _functions(path: Path, error: type[DetangledError]) -> tuple[Reader | None, Writer | None]:
+    suffix = path.suffix.lower()
+    if suffix not in _registered and suffix in _MODULES:
+        import_module(_MODULES[suffix])
+    if suffix not in _registered:
+        said = f"files ending in {path.suffix}" if suffix else "files without a suffix"
+        raise error(f"{path}: {said} are not known; these are: {', '.join(suffixes())}")
+    return _registered[suffix]
+
+
+def _in_cm(groom: Groom, unit: str | None) -> Groom:
+    if unit is not None:
+        groom = replace(groom, unit_cm=cm_per_unit(unit), unit_source="given")
+    elif groom.unit_source != "file":
+        guess = guess_unit(groom.points)
+        note = f"taken as {_UNIT_WORDS[guess]} from its size; --unit says otherwise"
+        groom = replace(groom, unit_cm=cm_per_unit(guess), unit_source="size", notes=(*groom.notes, note))
+    unit_cm = groom.unit_cm
+    return _scaled(groom, lambda lengths: lengths * unit_cm) if unit_cm != 1.0 else groom
+
+
+def _scaled(groom: Groom, scale: Callable[[np.ndarray], np.ndarray]) -> Groom:
+    # In float64 a product and a quotient by the same unit give float32 values back to the bit.
+    attributes = {
+        name: Attribute(scale(a.values.astype(np.float64)), a.scope)
+        if name in LENGTH_ATTRIBUTES and a.values.dtype.kind in "fiu"
+        else a
+        for name, a in groom.attributes.items()
+    }
+    return replace(groom, points=scale(groom.points), attributes=attributes)

@@ -1,0 +1,51 @@
+"""detangled convert: a groom in another file format or unit."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from pathlib import Path
+
+import click
+
+from detangled_cli.console import (
+    UNIT,
+    UNIT_NAMES,
+    input_argument,
+    note,
+    output_argument,
+    quiet_option,
+    unit_option,
+    warn,
+)
+
+
+@click.command()
+@input_argument
+@output_argument
+@unit_option
+@click.option("--out-unit", type=UNIT, metavar="U", help=f"Unit of OUT: {UNIT_NAMES}. Default: that of IN.")
+@quiet_option
+def command(source: Path, target: Path, unit: str | None, out_unit: str | None) -> None:
+    """Convert a groom to another file format or unit.
+
+    The suffix of OUT chooses its format. What that format cannot hold is listed on stderr.
+
+    \b
+    Example:
+      detangled convert groom.abc groom.usda
+      detangled convert groom.abc unreal.abc --out-unit cm
+    """
+    from detangled.formats import read, write
+    from detangled.units import cm_per_unit, unit_name
+
+    groom = read(source, unit=unit)
+    for sentence in groom.notes:
+        warn(f"{source}: {sentence}")
+    if out_unit is not None:
+        groom = replace(groom, unit_cm=cm_per_unit(out_unit), unit_source="given")
+    for sentence in write(groom, target):
+        warn(f"{target}: {sentence}")
+    note(
+        f"{target}: {groom.strand_count:,} strands, {len(groom.points):,} points, "
+        f"in {unit_name(groom.unit_cm)}"
+    )

@@ -1,0 +1,137 @@
+"""detangled info: what a groom holds."""
+
+from __future__ import annotations
+
+import json
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from detangled_cli.console import input_argument, quiet_option, unit_option
+
+if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
+    from detangled.groom import Groom
+
+UNIT_SOURCES = {
+    "given": "as given",
+    "file": "from the file",
+    "size": "guessed from its size",
+    "default": "assumed",
+}
+
+
+@click.command()
+@input_argument
+@click.option("--json", "as_json", is_flag=True, help="Write JSON, lengths in cm.")
+@unit_option
+@quiet_option
+def command(source: Path, as_json: bool, unit: str | None) -> None:
+    """Describe a groom: strands, lengths, unit, attributes.
+
+    Lengths are those of the polylines, in cm. Strands that hold a value that is not finite, or fewer than two
+    points, are counted as unusable and left out of the lengths and the box.
+
+    \b
+    Example:
+      detangled info groom.abc
+      detangled info groom.abc --unit m --json
+    """
+    from detangled.formats import read
+
+    facts = {"file": str(source), **describe(read(source, unit=unit))}
+    click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else as_text(facts))
+
+
+def describe(groom: Groom) -> dict[str, Any]:
+    """What a groom holds, as JSON takes it; lengths in cm, None where there is nothing to measure."""
+    import numpy as np
+
+    from detangled.units import unit_name
+
+    usable = _usable(groom)
+    # Measured apart from the others, since one value that is not finite spoils the sums over all of them.
+    sound = groom.select(usable)
+    box = (
+        [sound.points.min(axis=0).tolist(), sound.points.max(axis=0).tolist()] if len(sound.points) else None
+    )
+    return {
+        "strands": groom.strand_count,
+        "unusable_strands": int(np.count_nonzero(~usable)),
+        "points": len(groom.points),
+        "points_per_strand": _spread(groom.point_counts),
+        "length_cm": _spread(sound.polyline_lengths()),
+        "box_cm": None if box is None else {"min": box[0], "max": box[1]},
+        "unit": unit_name(groom.unit_cm),
+        "unit_cm": groom.unit_cm,
+        "unit_source": groom.unit_source,
+        "up": groom.up,
+        "objects": list(groom.objects),
+        "attributes": {
+            name: {
+                "scope": attribute.scope.value,
+                "dtype": str(attribute.values.dtype),
+                "shape": list(attribute.values.shape),
+            }
+            for name, attribute in groom.attributes.items()
+        },
+        "notes": list(groom.notes),
+    }
+
+
+def as_text(facts: dict[str, Any]) -> str:
+    """The facts of ``describe``, and the file, for a person."""
+    rows = [
+        ("strands", f"{facts['strands']:,}"),
+        ("points", f"{facts['points']:,}{_range(facts['points_per_strand'], ',.0f', '', ', a strand ')}"),
+        ("length", _range(facts["length_cm"], ".2f", " cm") or "none to measure"),
+        ("box", _box(facts["box_cm"])),
+        ("unit", f"{facts['unit']}, {UNIT_SOURCES.get(facts['unit_source'], facts['unit_source'])}"),
+        ("up", facts["up"]),
+        ("objects", ", ".join(facts["objects"]) or "none"),
+    ]
+    if facts["unusable_strands"]:
+        rows.insert(1, ("unusable", f"{facts['unusable_strands']:,} (not finite, or fewer than two points)"))
+    lines = [facts["file"], *(f"  {name:<10}  {text}" for name, text in rows)]
+    lines.append(f"  {'attributes':<10}  {'' if facts['attributes'] else 'none'}".rstrip())
+    width = max(map(len, facts["attributes"]), default=0)
+    for name, about in facts["attributes"].items():
+        lines.append(f"    {name:<{width}}  {about['scope']:<6}  {about['dtype']} {tuple(about['shape'])}")
+    if facts["notes"]:
+        lines += ["  notes", *(f"    {sentence}" for sentence in facts["notes"])]
+    return "\n".join(lines)
+
+
+def _usable(groom: Groom) -> NDArray[np.bool_]:
+    """Whether a strand has two points and finite ones only, (S,)."""
+    import numpy as np
+
+    bad_before = np.concatenate([[0], np.cumsum(~np.isfinite(groom.points).all(axis=1))])
+    finite = bad_before[groom.offsets[1:]] == bad_before[groom.offsets[:-1]]
+    return np.asarray(finite & (groom.point_counts >= 2))
+
+
+def _spread(values: NDArray[Any]) -> dict[str, float] | None:
+    import numpy as np
+
+    if not len(values):
+        return None
+    return {"min": values.min().item(), "median": float(np.median(values)), "max": values.max().item()}
+
+
+def _range(spread: dict[str, float] | None, number: str, unit: str, lead: str = "") -> str:
+    if spread is None:
+        return ""
+    low, middle, high = (format(spread[name], number) for name in ("min", "median", "max"))
+    return f"{lead}{low} to {high}{unit}, median {middle}{unit}"
+
+
+def _box(box: dict[str, list[float]] | None) -> str:
+    if box is None:
+        return "none"
+    low, high = (" ".join(f"{value:.2f}" for value in box[end]) for end in ("min", "max"))
+    size = " x ".join(f"{b - a:.2f}" for a, b in zip(box["min"], box["max"], strict=True))
+    return f"{size} cm, from ({low}) to ({high})"

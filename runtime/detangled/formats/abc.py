@@ -1,0 +1,255 @@
+"""Alembic (.abc), read through the official library's bindings (the package ``alembic3d``).
+
+Every transform above the curves is applied, all curve objects of a file make one groom, and smooth curves
+become polylines. Of several time samples the first is read. Alembic carries neither unit nor up axis.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass, field
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+from alembic3d import Abc, AbcGeom
+from numpy.typing import NDArray
+
+from detangled.errors import ReadError
+from detangled.formats import abc_check, register
+from detangled.formats.abc_values import BINDING_ERRORS, Value, read_property
+from detangled.formats.abc_write import write
+from detangled.formats.curve_bases import SmoothCurves
+from detangled.formats.merge import Part, merged
+from detangled.groom import Attribute, Groom, Scope
+
+DEFAULT_UP = "y"
+_BASES = {
+    AbcGeom.BasisType.kBezierBasis: "bezier",
+    AbcGeom.BasisType.kBsplineBasis: "bspline",
+    AbcGeom.BasisType.kCatmullromBasis: "catmull-rom",
+    AbcGeom.BasisType.kHermiteBasis: "hermite",
+    AbcGeom.BasisType.kPowerBasis: "power",
+}
+CUBIC_ORDER = 4
+# The schema's own parameters, by the names that attributes of a groom have.
+_SCHEMA_PARAMETERS = {"width": "width", "uv": "uv", "N": "N", ".velocities": "velocities"}
+_COMPOUNDS = (".arbGeomParams", ".userProperties")
+
+
+@dataclass
+class _Scene:
+    """What was met on the way through a file."""
+
+    curves: list[tuple[Any, NDArray[np.float64]]] = field(default_factory=list)
+    meshes: list[str] = field(default_factory=list)
+    time_samples: int = 1
+
+
+def read(path: Path) -> Groom:
+    """Read all curves of an Alembic file, lengths as they stand in it.
+
+    Raises ReadError where the file is no Alembic file, is damaged, or holds no curves.
+    """
+    abc_check.check(path)
+    try:
+        archive = Abc.IArchive(str(path))
+        scene = _Scene()
+        _collect(archive.getTop(), scene)
+        if not scene.curves:
+            beside = f", only the meshes {', '.join(scene.meshes)}" if scene.meshes else ""
+            raise ReadError(f"{path}: holds no curves{beside}")
+        parts = [_read_curves(path, curves, matrix) for curves, matrix in scene.curves]
+    except BINDING_ERRORS as error:
+        raise ReadError(f"{path}: damaged, or not as Alembic lays it down: {_first_line(error)}") from error
+    notes = []
+    if scene.meshes:
+        notes.append(f"skipped what is not curves: {', '.join(scene.meshes)}")
+    if scene.time_samples > 1:
+        notes.append(f"{scene.time_samples} time samples, only the first is kept")
+    return merged(parts, up=DEFAULT_UP, notes=tuple(notes))
+
+
+def _collect(top: Any, scene: _Scene) -> None:
+    """Find the curves below an object, with the matrix that takes each to the world (row vectors)."""
+    waiting = [(top, np.eye(4))]
+    while waiting:
+        thing, matrix = waiting.pop()
+        header = thing.getHeader()
+        if AbcGeom.IXform.matches(header):
+            schema = AbcGeom.IXform(thing.getParent(), thing.getName()).getSchema()
+            if schema.getNumSamples():
+                scene.time_samples = max(scene.time_samples, schema.getNumSamples())
+                sample = schema.getValue()
+                own = np.array([[entry for entry in row] for row in sample.getMatrix()], dtype=np.float64)
+                matrix = own @ matrix if sample.getInheritsXforms() else own
+        elif AbcGeom.ICurves.matches(header):
+            curves = AbcGeom.ICurves(thing.getParent(), thing.getName())
+            if curves.getSchema().getNumSamples():
+                scene.time_samples = max(scene.time_samples, curves.getSchema().getNumSamples())
+                scene.curves.append((curves, matrix))
+        elif AbcGeom.IPolyMesh.matches(header) or AbcGeom.ISubD.matches(header):
+            scene.meshes.append(thing.getName())
+        # Backwards, since the last one in is the first one out.
+        waiting.extend((thing.getChild(i), matrix) for i in reversed(range(thing.getNumChildren())))
+
+
+def _read_curves(path: Path, curves: Any, matrix: NDArray[np.float64]) -> Part:
+    name = curves.getName()
+    schema = curves.getSchema()
+    sample = schema.getValue()
+    points = np.array(np.asarray(sample.getPositions()), dtype=np.float64).reshape(-1, 3)
+    counts = np.array(np.asarray(sample.getCurvesNumVertices()), dtype=np.int64).reshape(-1)
+    if np.any(counts < 0) or int(counts.sum()) != len(points):
+        raise ReadError(f"{path}: the curves {name!r} say {int(counts.sum())} points and hold {len(points)}")
+    found, notes = _attributes(curves, len(counts), len(points))
+    if sample.getWrap() == AbcGeom.CurvePeriodicity.kPeriodic:
+        notes.append(f"the closed curves of {name!r} were read as open ones")
+    points, found = _to_world(points, found, matrix)
+    if sample.getType() != AbcGeom.CurveType.kLinear:
+        counts, points, found, more = _evaluated(path, name, sample, counts, points, found)
+        notes += more
+    return Part(name, curves.getFullName(), points, counts, found, notes)
+
+
+def _attributes(curves: Any, strands: int, points: int) -> tuple[dict[str, Attribute], list[str]]:
+    found: dict[str, Attribute] = {}
+    notes: list[str] = []
+    geometry = Abc.ICompoundProperty(curves.getProperties(), ".geom")
+    for name, parent, header in _parameters(geometry):
+        try:
+            value = read_property(parent, header)
+        except BINDING_ERRORS as error:
+            notes.append(f"attribute {name!r} of {curves.getName()!r} was left out: {_first_line(error)}")
+            continue
+        if value is None:
+            continue
+        scope = _scope(value, strands, points)
+        if scope is None:
+            notes.append(
+                f"attribute {name!r} of {curves.getName()!r} was left out: {len(value.values)} values "
+                f"for {strands} strands of {points} points"
+            )
+        elif name in found:
+            notes.append(f"a second attribute {name!r} of {curves.getName()!r} was left out")
+        else:
+            found[name] = Attribute(value.values, scope)
+    return found, notes
+
+
+def _parameters(geometry: Any) -> Iterator[tuple[str, Any, Any]]:
+    """The schema's own parameters, the arbitrary ones, the user's: name, compound that holds it, header."""
+    compounds = []
+    for i in range(geometry.getNumProperties()):
+        header = geometry.getPropertyHeader(i)
+        if header.getName() in _SCHEMA_PARAMETERS:
+            yield _SCHEMA_PARAMETERS[header.getName()], geometry, header
+        elif header.getName() in _COMPOUNDS and header.isCompound():
+            compounds.append(Abc.ICompoundProperty(geometry, header.getName()))
+    for compound in compounds:
+        for i in range(compound.getNumProperties()):
+            header = compound.getPropertyHeader(i)
+            yield header.getName(), compound, header
+
+
+def _scope(value: Value, strands: int, points: int) -> Scope | None:
+    """The scope by the count of values: what the file says counts only where the count leaves a choice.
+
+    Blender writes one value a curve and no scope, which reads as constant.
+    """
+    counts = {Scope.POINT: points, Scope.STRAND: strands, Scope.GROOM: 1}
+    fitting = [scope for scope, count in counts.items() if count == len(value.values)]
+    if value.scope in fitting:
+        return value.scope
+    return fitting[0] if fitting else None
+
+
+def _to_world(
+    points: NDArray[np.float64], found: dict[str, Attribute], matrix: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], dict[str, Attribute]]:
+    """Apply a transform to the points, and to the schema's widths, normals and velocities."""
+    if np.array_equal(matrix, np.eye(4)):
+        return points, found
+    turn = matrix[:3, :3]
+    scale = abs(np.linalg.det(turn)) ** (1 / 3)
+    found = dict(found)
+    with np.errstate(all="ignore"):
+        points = points @ turn + matrix[3, :3]
+        for name, a in found.items():
+            values = a.values.astype(np.float64) if a.values.dtype.kind == "f" else None
+            if values is None:
+                continue
+            if name == "width":
+                values = values * scale
+            elif name == "velocities" and values.shape[1:] == (3,):
+                values = values @ turn
+            elif name == "N" and values.shape[1:] == (3,) and scale > 0:
+                turned = values @ np.linalg.inv(turn).T
+                length = np.linalg.norm(turned, axis=1, keepdims=True)
+                values = turned * np.where(
+                    length > 0, np.linalg.norm(values, axis=1, keepdims=True) / length, 1
+                )
+            else:
+                continue
+            found[name] = Attribute(values.astype(a.values.dtype), a.scope)
+    return points, found
+
+
+def _evaluated(
+    path: Path,
+    name: str,
+    sample: Any,
+    counts: NDArray[np.int64],
+    points: NDArray[np.float64],
+    found: dict[str, Attribute],
+) -> tuple[NDArray[np.int64], NDArray[np.float64], dict[str, Attribute], list[str]]:
+    """Turn smooth curves, and the attributes on their control points, into polylines."""
+    basis = _BASES.get(sample.getBasis())
+    if basis is None:
+        return (
+            counts,
+            points,
+            found,
+            [f"{name!r} are smooth curves of an unknown basis, read by their control points"],
+        )
+    orders = np.full(len(counts), CUBIC_ORDER, dtype=np.int64)
+    if sample.getType() == AbcGeom.CurveType.kVariableOrder:
+        given = np.array(np.asarray(sample.getOrders()), dtype=np.int64).reshape(-1)
+        if len(given) != len(counts) or np.any(given < 1):
+            raise ReadError(f"{path}: the curves {name!r} hold {len(given)} orders for {len(counts)} strands")
+        orders = given
+    weights = np.array(np.asarray(sample.getPositionWeights()), dtype=np.float64).reshape(-1)
+    notes = []
+    if len(weights) not in (0, len(points)):
+        notes.append(f"the weights of {name!r} do not fit its points and were left out")
+        weights = weights[:0]
+    knots = np.array(np.asarray(sample.getKnots()), dtype=np.float64).reshape(-1)
+    curves = SmoothCurves(counts, basis, orders, knots, weights)
+
+    kept, carried = {}, {}
+    for key, attribute in found.items():
+        if attribute.scope is not Scope.POINT:
+            kept[key] = attribute
+        elif attribute.values.dtype.kind == "f":
+            carried[key] = attribute
+        else:
+            notes.append(
+                f"attribute {key!r} of {name!r} was left out: it has no values between control points"
+            )
+    channels = [points, *(a.values.reshape(len(points), -1).astype(np.float64) for a in carried.values())]
+    counts, values, more = curves.to_polylines(np.concatenate(channels, axis=1))
+    begin = 3
+    for (key, attribute), channel in zip(carried.items(), channels[1:], strict=True):
+        own = values[:, begin : begin + channel.shape[1]].reshape(len(values), *attribute.values.shape[1:])
+        kept[key] = Attribute(own.astype(attribute.values.dtype), Scope.POINT)
+        begin += channel.shape[1]
+    notes.append(f"{name!r} are {basis} curves: evaluated into polylines of {len(values)} points")
+    return counts, values[:, :3], kept, notes + [f"{name!r}: {note}" for note in more]
+
+
+def _first_line(error: BaseException) -> str:
+    lines = [line for line in str(error).splitlines() if line and "EXCEPTION" not in line]
+    return lines[-1] if lines else type(error).__name__
+
+
+register((".abc",), read, write)

@@ -1,0 +1,105 @@
+"""Alembic (.abc), written through the official library's bindings: linear curves and their attributes.
+
+The same groom gives the same bytes: the archive is made without the metadata that hold a date.
+"""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import Any
+
+import imath
+import numpy as np
+from alembic3d import Abc, AbcGeom
+
+from detangled.errors import ReadError, WriteError
+from detangled.formats import abc_check, objects
+from detangled.formats.abc_values import BINDING_ERRORS, GEOMETRY_SCOPES, filled, write_parameter
+from detangled.groom import Attribute, Groom, Scope
+
+
+def write(groom: Groom, path: Path) -> list[str]:
+    """Write a groom whose lengths are in the file's unit: a transform and curves for each of its objects.
+
+    Raises WriteError where the library fails or the file is not whole afterwards.
+    """
+    try:
+        lost = _write(groom, path)
+    except BINDING_ERRORS as error:
+        raise WriteError(f"{path}: Alembic could not write it: {error}") from error
+    try:
+        # A full disk does not stop the library, so see what is there.
+        abc_check.check(path)
+    except (ReadError, ValueError) as error:
+        raise WriteError(f"{path}: could not be written whole; is the disk full?") from error
+    return lost
+
+
+def _write(groom: Groom, path: Path) -> list[str]:
+    owner = objects.owners(groom)
+    lost = ["strands were put in the order of their objects"] if np.any(np.diff(owner) < 0) else []
+    archive = Abc.OArchive(str(path))
+    names = _node_names(groom.objects)
+    several = len(names) > 1
+    for index, name in enumerate(names):
+        part = groom.select(np.flatnonzero(owner == index)) if several else groom
+        transform = AbcGeom.OXform(archive.getTop(), name)
+        schema = AbcGeom.OCurves(transform, name).getSchema()
+        lost += _write_curves(part, objects.other_attributes(groom), schema)
+    # One sentence about an attribute, however many objects have it.
+    return list(dict.fromkeys(lost))
+
+
+def _write_curves(groom: Groom, named: dict[str, Attribute], schema: Any) -> list[str]:
+    sample = AbcGeom.OCurvesSchemaSample(
+        filled(imath.V3fArray, groom.points),
+        filled(imath.IntArray, groom.point_counts),
+        AbcGeom.CurveType.kLinear,
+        AbcGeom.CurvePeriodicity.kNonPeriodic,
+    )
+    sample.setBasis(AbcGeom.BasisType.kNoBasis)
+    others = {}
+    for name in named:
+        attribute = groom.attributes[name]
+        if not _set_schema_parameter(sample, name, attribute):
+            others[name] = attribute
+    schema.set(sample)
+    lost = []
+    if others:
+        parent = schema.getArbGeomParams()
+        for name, attribute in others.items():
+            lost += write_parameter(parent, name, attribute.values, attribute.scope)
+    return lost
+
+
+def _set_schema_parameter(sample: Any, name: str, attribute: Attribute) -> bool:
+    """Put widths, UVs, normals and velocities where the curves' schema has a place for them."""
+    values = attribute.values
+    if values.dtype.kind != "f":
+        return False
+    scope = GEOMETRY_SCOPES[attribute.scope]
+    if name == "width" and values.ndim == 1:
+        sample.setWidths(AbcGeom.OFloatGeomParamSample(filled(imath.FloatArray, values), scope))
+    elif name == "uv" and values.shape[1:] == (2,) and values.dtype == np.float32:
+        sample.setUVs(AbcGeom.OV2fGeomParamSample(filled(imath.V2fArray, values), scope))
+    elif name == "N" and values.shape[1:] == (3,) and values.dtype == np.float32:
+        sample.setNormals(AbcGeom.ON3fGeomParamSample(filled(imath.V3fArray, values), scope))
+    elif name == "velocities" and values.shape[1:] == (3,) and attribute.scope is Scope.POINT:
+        sample.setVelocities(filled(imath.V3fArray, values))
+    else:
+        return False
+    return True
+
+
+def _node_names(names: tuple[str, ...]) -> list[str]:
+    """Names that can stand in an archive: without slashes, none empty, none twice."""
+    taken: list[str] = []
+    for name in names:
+        plain = name.replace("/", "_").strip() or "hair"
+        number = 1
+        unique = plain
+        while unique in taken:
+            number += 1
+            unique = f"{plain}_{number}"
+        taken.append(unique)
+    return taken
