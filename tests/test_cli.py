@@ -131,9 +131,7 @@ except SystemExit:
 print("LOADED", [name for name in {HEAVY!r} if name in sys.modules])
 print("VERBS", [name for name in sys.modules if name in {[v.module for v in shell.VERBS.values()]!r}])
 """
-    output = subprocess.run(
-        [sys.executable, "-c", program], capture_output=True, text=True, check=True
-    ).stdout
+    output = subprocess.run([sys.executable, "-c", program], capture_output=True, text=True, check=True).stdout
     assert "LOADED []" in output
     assert "VERBS []" in output
 
@@ -152,9 +150,7 @@ def test_help_lists_every_verb() -> None:
     result = invoke("--help")
     assert result.exit_code == 0
     for name, entry in shell.VERBS.items():
-        assert any(
-            line.split()[:1] == [name] and entry.short_help in line for line in result.stdout.splitlines()
-        )
+        assert any(line.split()[:1] == [name] and entry.short_help in line for line in result.stdout.splitlines())
 
 
 def test_bare_command_shows_help_and_is_wrong_usage() -> None:

@@ -47,12 +47,8 @@ def all_attributes(groom, rng):
         attributes[f"{scope.value}_color"] = Attribute(rng.random((count, 3)).astype(np.float32), scope)
         texts = np.array([f"s{i} é" if i % 2 else "" for i in range(count)])
         attributes[f"{scope.value}_text"] = Attribute(texts, scope)
-    attributes["uint32_large"] = Attribute(
-        np.full(groom.strand_count, 2**32 - 1, dtype=np.uint32), Scope.STRAND
-    )
-    attributes["width"] = Attribute(
-        rng.random(len(groom.points)).astype(np.float32) * groom.unit_cm, Scope.POINT
-    )
+    attributes["uint32_large"] = Attribute(np.full(groom.strand_count, 2**32 - 1, dtype=np.uint32), Scope.STRAND)
+    attributes["width"] = Attribute(rng.random(len(groom.points)).astype(np.float32) * groom.unit_cm, Scope.POINT)
     attributes["uv"] = Attribute(rng.random((groom.strand_count, 2)).astype(np.float32), Scope.STRAND)
     attributes["N"] = Attribute(rng.random((groom.strand_count, 3)).astype(np.float32), Scope.STRAND)
     attributes["velocities"] = Attribute(rng.random((len(groom.points), 3)).astype(np.float32), Scope.POINT)
@@ -100,9 +96,7 @@ def test_attributes_of_every_kind_come_back(tmp_path, suffix):
             continue
         dtype = attribute.values.dtype
         expected = (
-            np.dtype(ABC_DTYPES.get(dtype.name, dtype.name))
-            if suffix == ".abc" and dtype.kind in "iu"
-            else dtype
+            np.dtype(ABC_DTYPES.get(dtype.name, dtype.name)) if suffix == ".abc" and dtype.kind in "iu" else dtype
         )
         assert found.values.dtype.kind == expected.kind, name
         if expected.kind != "U":
@@ -278,9 +272,7 @@ def test_unknown_suffixes_and_units_are_refused(tmp_path):
 
 
 @pytest.mark.parametrize("suffix", SUFFIXES)
-@pytest.mark.parametrize(
-    "error", [RuntimeError("no"), OSError(28, "No space left on device"), KeyboardInterrupt()]
-)
+@pytest.mark.parametrize("error", [RuntimeError("no"), OSError(28, "No space left on device"), KeyboardInterrupt()])
 def test_a_failing_write_leaves_the_old_file_whole(tmp_path, monkeypatch, suffix, error):
     groom = strands(np.random.default_rng(12))
     path = tmp_path / f"a{suffix}"
@@ -323,10 +315,7 @@ def test_registered_formats_are_used(tmp_path, monkeypatch):
 
 def test_no_format_is_loaded_before_it_is_needed():
     code = "import sys, detangled.formats; print(*{'alembic3d', 'imath', 'scipy'} & {*sys.modules})"
-    assert (
-        subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout
-        == "\n"
-    )
+    assert subprocess.run([sys.executable, "-c", code], capture_output=True, text=True, check=True).stdout == "\n"
 
 
 def test_real_swatch(grooms):

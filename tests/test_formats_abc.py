@@ -265,9 +265,7 @@ def test_orders_of_their_own(tmp_path):
     groom = formats.read(tmp_path / "a.abc", "cm")
     t = knots[:9].astype(float)
     quarter = t[2] + (t[3] - t[2]) / SAMPLES_PER_SPAN
-    np.testing.assert_allclose(
-        groom.strand(0)[1], BSpline(t, points[:6].astype(float), 2)(quarter), atol=1e-6
-    )
+    np.testing.assert_allclose(groom.strand(0)[1], BSpline(t, points[:6].astype(float), 2)(quarter), atol=1e-6)
     np.testing.assert_array_equal(groom.strand(1), points[6:])
 
 

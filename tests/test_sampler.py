@@ -48,9 +48,7 @@ def denoise_gauss(x: NDArray[np.float64], alpha: float, sigma: float) -> NDArray
 
 
 def grid_of_lambdas(lambdas: NDArray[np.float64]) -> SolverCoefficients:
-    return coefficients_of_grid(
-        1.0 / np.sqrt(1.0 + np.exp(-2 * lambdas)), 1.0 / np.sqrt(1.0 + np.exp(2 * lambdas))
-    )
+    return coefficients_of_grid(1.0 / np.sqrt(1.0 + np.exp(-2 * lambdas)), 1.0 / np.sqrt(1.0 + np.exp(2 * lambdas)))
 
 
 def noise(*shape: int, seed: int = 7) -> NDArray[np.float64]:
@@ -246,9 +244,7 @@ def test_guide_changes_the_prediction_at_every_step() -> None:
 
 def test_progress_counts_to_the_end() -> None:
     told: list[tuple[int, int]] = []
-    sample(
-        denoise_mixture, noise(1, 1, 4), SCHEDULE, 3, progress=lambda done, steps: told.append((done, steps))
-    )
+    sample(denoise_mixture, noise(1, 1, 4), SCHEDULE, 3, progress=lambda done, steps: told.append((done, steps)))
     assert told == [(1, 3), (2, 3), (3, 3)]
 
 
@@ -268,12 +264,8 @@ def reference_scheduler(**options: Any) -> Any:
         def dpm_solver_first_order_update(self, prediction: Any, *, sample: Any, noise: Any) -> Any:
             return super().dpm_solver_first_order_update(prediction, sample=self.exact_sample, noise=noise)
 
-        def multistep_dpm_solver_second_order_update(
-            self, predictions: Any, *, sample: Any, noise: Any
-        ) -> Any:
-            return super().multistep_dpm_solver_second_order_update(
-                predictions, sample=self.exact_sample, noise=noise
-            )
+        def multistep_dpm_solver_second_order_update(self, predictions: Any, *, sample: Any, noise: Any) -> Any:
+            return super().multistep_dpm_solver_second_order_update(predictions, sample=self.exact_sample, noise=noise)
 
         def step(self, prediction: Any, timestep: Any, sample: Any, **rest: Any) -> Any:
             self.exact_sample = sample

@@ -25,21 +25,15 @@ from detangled.view.shading import Look, tints
 from detangled_cli import render as render_verb
 
 
-def helix(
-    radius: float = 1.0, wavelength: float = 1.5, turns: float = 6.0, per_turn: float = 4.4
-) -> np.ndarray:
+def helix(radius: float = 1.0, wavelength: float = 1.5, turns: float = 6.0, per_turn: float = 4.4) -> np.ndarray:
     n = int(turns * per_turn) + 1
     t = np.arange(n) / per_turn
-    return np.stack(
-        [radius * np.cos(2 * np.pi * t), -wavelength * t, radius * np.sin(2 * np.pi * t)], axis=1
-    )  # (n, 3)
+    return np.stack([radius * np.cos(2 * np.pi * t), -wavelength * t, radius * np.sin(2 * np.pi * t)], axis=1)  # (n, 3)
 
 
 def tuft(strands: int = 60, seed: int = 0, up: str = "y") -> Groom:
     rng = np.random.default_rng(seed)
-    made = [
-        helix(rng.uniform(0.3, 0.8), 1.0, rng.uniform(2, 6)) + rng.uniform(-4, 4, 3) for _ in range(strands)
-    ]
+    made = [helix(rng.uniform(0.3, 0.8), 1.0, rng.uniform(2, 6)) + rng.uniform(-4, 4, 3) for _ in range(strands)]
     return Groom.from_strands(made, up=up)
 
 
@@ -79,9 +73,7 @@ def test_coverage_at_a_strands_edge_is_its_share_of_the_pixel() -> None:
     pixels = draw(curves, camera, light_grid(curves, width, 10.0), width, look)[60, :, 1] / 255.0
     linear = ((pixels + 0.055) / 1.055) ** 2.4
     behind = background(camera, look)[60, 0, 1]
-    assert np.round((behind - linear[56:64]) / behind * SAMPLES) == pytest.approx(
-        [0, 1, 3, 3, 3, 3, 1, 0], abs=1.01
-    )
+    assert np.round((behind - linear[56:64]) / behind * SAMPLES) == pytest.approx([0, 1, 3, 3, 3, 3, 1, 0], abs=1.01)
     assert np.sum(1 - linear / behind) == pytest.approx(5.0, abs=0.7)
 
 
@@ -114,9 +106,7 @@ def test_hidden_segments_that_are_passed_over_change_nothing() -> None:
     back = type(back)(back.points, back.offsets, np.roll(front.ids, -150), back.low, back.high)
     camera = frame([front.points], (96, 96))
     grid = light_grid(front, 0.12, 10.0)
-    np.testing.assert_array_equal(
-        draw(front, camera, grid, 0.12, Look()), draw(back, camera, grid, 0.12, Look())
-    )
+    np.testing.assert_array_equal(draw(front, camera, grid, 0.12, Look()), draw(back, camera, grid, 0.12, Look()))
 
 
 @pytest.mark.parametrize("perspective", [True, False])
@@ -149,9 +139,7 @@ def test_views_are_rotations_that_keep_up_up(up: str) -> None:
 def test_a_groom_looks_the_same_with_y_up_and_with_z_up() -> None:
     groom = tuft(12)
     z_up = Groom(groom.points[:, [0, 2, 1]] * [1.0, -1.0, 1.0], groom.offsets, up="z")
-    np.testing.assert_array_equal(
-        render([groom], (64, 64), "34").pixels, render([z_up], (64, 64), "34").pixels
-    )
+    np.testing.assert_array_equal(render([groom], (64, 64), "34").pixels, render([z_up], (64, 64), "34").pixels)
 
 
 # --- smooth strands ---
@@ -363,9 +351,7 @@ def _run(monkeypatch: pytest.MonkeyPatch, grooms: dict[str, Groom], *arguments: 
     return CliRunner().invoke(render_verb.command, list(arguments))
 
 
-def test_render_command_writes_a_picture_and_says_the_width(
-    tmp_path: Path, monkeypatch: pytest.MonkeyPatch
-) -> None:
+def test_render_command_writes_a_picture_and_says_the_width(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     grooms = {"a.abc": tuft(4), "b.abc": tuft(6)}
     out = tmp_path / "out.png"
     result = _run(monkeypatch, grooms, "a.abc", "b.abc", str(out), "--size", "80", "--view", "front")
@@ -396,7 +382,5 @@ def test_render_command_refuses_clearly(tmp_path: Path, monkeypatch: pytest.Monk
 def test_help_shows_an_example_and_loads_nothing_heavy() -> None:
     result = CliRunner().invoke(render_verb.command, ["--help"])
     assert "detangled render groom.abc groom.png" in result.output
-    code = (
-        "import sys, detangled_cli.render; sys.exit(any(m in sys.modules for m in ('numba', 'numpy', 'PIL')))"
-    )
+    code = "import sys, detangled_cli.render; sys.exit(any(m in sys.modules for m in ('numba', 'numpy', 'PIL')))"
     assert subprocess.run([sys.executable, "-c", code], check=False).returncode == 0

@@ -45,7 +45,4 @@ def command(source: Path, target: Path, unit: str | None, out_unit: str | None) 
         groom = replace(groom, unit_cm=cm_per_unit(out_unit), unit_source="given")
     for sentence in write(groom, target):
         warn(f"{target}: {sentence}")
-    note(
-        f"{target}: {groom.strand_count:,} strands, {len(groom.points):,} points, "
-        f"in {unit_name(groom.unit_cm)}"
-    )
+    note(f"{target}: {groom.strand_count:,} strands, {len(groom.points):,} points, in {unit_name(groom.unit_cm)}")

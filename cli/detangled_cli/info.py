@@ -55,9 +55,7 @@ def describe(groom: Groom) -> dict[str, Any]:
     usable = _usable(groom)
     # Measured apart from the others, since one value that is not finite spoils the sums over all of them.
     sound = groom.select(usable)
-    box = (
-        [sound.points.min(axis=0).tolist(), sound.points.max(axis=0).tolist()] if len(sound.points) else None
-    )
+    box = [sound.points.min(axis=0).tolist(), sound.points.max(axis=0).tolist()] if len(sound.points) else None
     return {
         "strands": groom.strand_count,
         "unusable_strands": int(np.count_nonzero(~usable)),

@@ -20,9 +20,7 @@ LARGEST_PANEL_PX = 8192
 
 
 @click.command()
-@click.argument(
-    "paths", metavar="IN [IN2 ...] OUT.png", nargs=-1, required=True, type=click.Path(path_type=Path)
-)
+@click.argument("paths", metavar="IN [IN2 ...] OUT.png", nargs=-1, required=True, type=click.Path(path_type=Path))
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
@@ -68,9 +66,7 @@ def command(paths: tuple[Path, ...], view: str, size: int, unit: str | None, thr
             warn(f"{source}: {sentence}")
     announce_first_run()
     set_threads(threads)
-    drawn = picture.render(
-        grooms, (size, size), view, _captions(sources), names=[str(source) for source in sources]
-    )
+    drawn = picture.render(grooms, (size, size), view, _captions(sources), names=[str(source) for source in sources])
     picture.save(drawn, target)
     note(f"{target}: strands drawn {drawn.strand_width:.3g} cm wide")
 
@@ -81,6 +77,5 @@ def _captions(sources: list[Path]) -> list[str]:
         return []
     names = [source.name for source in sources]
     return [
-        source.name if names.count(source.name) == 1 else f"{source.parent.name}/{source.name}"
-        for source in sources
+        source.name if names.count(source.name) == 1 else f"{source.parent.name}/{source.name}" for source in sources
     ]

@@ -30,9 +30,7 @@ def guess_unit(points: NDArray[np.floating]) -> str:
     diagonal = float(np.linalg.norm(high - low))
     if diagonal == 0.0:
         return "cm"
-    return min(
-        GUESSED_UNITS, key=lambda name: abs(np.log(diagonal * CM_PER_UNIT[name] / TYPICAL_DIAGONAL_CM))
-    )
+    return min(GUESSED_UNITS, key=lambda name: abs(np.log(diagonal * CM_PER_UNIT[name] / TYPICAL_DIAGONAL_CM)))
 
 
 def _bounds(points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:

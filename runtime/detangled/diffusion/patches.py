@@ -173,7 +173,5 @@ def denoise_strands(
     out = np.empty_like(noisy)
     precision = 0.5 * (alpha / sigma) ** 2
     for b in prange(noisy.shape[0]):
-        denoise_strand(
-            noisy[b] / alpha, examples, starts, chosen[b], shifts[b], half_width, window, precision, out[b]
-        )
+        denoise_strand(noisy[b] / alpha, examples, starts, chosen[b], shifts[b], half_width, window, precision, out[b])
     return out

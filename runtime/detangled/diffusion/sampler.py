@@ -87,9 +87,7 @@ def coefficients_of_grid(alpha: ArrayLike, sigma: ArrayLike) -> SolverCoefficien
     with np.errstate(divide="ignore", invalid="ignore"):
         h = np.diff(np.log(alphas) - np.log(sigmas))
     if not np.all(h > 0.0) or not np.all(np.isfinite(h[:-1])):
-        raise DetangledError(
-            "alpha and sigma must be positive (sigma may be 0 at the last point) with a rising ratio"
-        )
+        raise DetangledError("alpha and sigma must be positive (sigma may be 0 at the last point) with a rising ratio")
 
     steps = len(h)
     c_x = sigmas[1:] / sigmas[:-1]

@@ -186,9 +186,7 @@ def _to_world(
             elif name == "N" and values.shape[1:] == (3,) and scale > 0:
                 turned = values @ np.linalg.inv(turn).T
                 length = np.linalg.norm(turned, axis=1, keepdims=True)
-                values = turned * np.where(
-                    length > 0, np.linalg.norm(values, axis=1, keepdims=True) / length, 1
-                )
+                values = turned * np.where(length > 0, np.linalg.norm(values, axis=1, keepdims=True) / length, 1)
             else:
                 continue
             found[name] = Attribute(values.astype(a.values.dtype), a.scope)
@@ -233,9 +231,7 @@ def _evaluated(
         elif attribute.values.dtype.kind == "f":
             carried[key] = attribute
         else:
-            notes.append(
-                f"attribute {key!r} of {name!r} was left out: it has no values between control points"
-            )
+            notes.append(f"attribute {key!r} of {name!r} was left out: it has no values between control points")
     channels = [points, *(a.values.reshape(len(points), -1).astype(np.float64) for a in carried.values())]
     counts, values, more = curves.to_polylines(np.concatenate(channels, axis=1))
     begin = 3

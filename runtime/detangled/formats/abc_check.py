@@ -70,15 +70,9 @@ def _check_objects(container: Container, top: int, metadata_count: int) -> None:
         if not children:
             continue
         _check_compounds(container, children[0], metadata_count)
-        headers = (
-            _count_objects(container, container.data(children[-1]), metadata_count)
-            if len(children) > 1
-            else 0
-        )
+        headers = _count_objects(container, container.data(children[-1]), metadata_count) if len(children) > 1 else 0
         if headers != max(0, len(children) - 2):
-            raise container.damaged(
-                f"{headers} objects are announced at byte {group}, {len(children) - 2} are there"
-            )
+            raise container.damaged(f"{headers} objects are announced at byte {group}, {len(children) - 2} are there")
         waiting.extend(children[1:-1])
 
 
@@ -188,9 +182,7 @@ def _count_texts(data: bytes, pod: int) -> int:
         return data.count(0, KEY_BYTES)
     characters = data[KEY_BYTES:]
     return sum(
-        1
-        for (c,) in struct.iter_unpack("<I", characters[: len(characters) // WSTRING_CHARACTER_BYTES * 4])
-        if c == 0
+        1 for (c,) in struct.iter_unpack("<I", characters[: len(characters) // WSTRING_CHARACTER_BYTES * 4]) if c == 0
     )
 
 

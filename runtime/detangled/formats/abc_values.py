@@ -151,9 +151,7 @@ def _scalar(scalar: Any) -> NDArray[Any] | None:
         raise TypeError(f"a value of type {data_type} cannot be read")
     dtype = _DTYPES[data_type.getPod()]
     extent = data_type.getExtent()
-    return np.array(
-        values.reshape((1,) if extent == 1 else (1, extent)), dtype=None if dtype is np.str_ else dtype
-    )
+    return np.array(values.reshape((1,) if extent == 1 else (1, extent)), dtype=None if dtype is np.str_ else dtype)
 
 
 def _storable(values: NDArray[Any]) -> NDArray[Any] | None:

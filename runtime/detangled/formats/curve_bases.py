@@ -77,9 +77,7 @@ class SmoothCurves:
                 if len(knots):
                     own = knots[knot_begin[curves, None] + np.arange(count + order)]  # (g, n + order)
                 else:
-                    own = np.broadcast_to(
-                        np.arange(count + order, dtype=np.float64), (len(curves), count + order)
-                    )
+                    own = np.broadcast_to(np.arange(count + order, dtype=np.float64), (len(curves), count + order))
                 points = _in_chunks(controls, own, order)
             elif order == CUBIC_ORDER:
                 points = _by_matrix(controls, self.basis)
@@ -129,9 +127,7 @@ def _in_chunks(controls: Array, knots: Array, order: int) -> Array:
         return controls
     numbers = len(spans) * (SAMPLES_PER_SPAN + 1) * order * width
     step = max(1, CHUNK_NUMBERS // numbers)
-    parts = [
-        _de_boor(controls[i : i + step], knots[i : i + step], order, spans) for i in range(0, curves, step)
-    ]
+    parts = [_de_boor(controls[i : i + step], knots[i : i + step], order, spans) for i in range(0, curves, step)]
     return np.concatenate(parts)
 
 

@@ -66,15 +66,11 @@ def _merged_attribute(name: str, parts: list[Part]) -> tuple[Attribute | None, s
         return first, ""
     if len({a.values.shape[1:] for a in own}) > 1 or len({a.values.dtype.kind == "U" for a in own}) > 1:
         return None, f"attribute {name!r} was left out: it differs in kind between the objects"
-    if len(own) == len(parts) and all(
-        a.scope is Scope.GROOM and np.array_equal(a.values, first.values) for a in own
-    ):
+    if len(own) == len(parts) and all(a.scope is Scope.GROOM and np.array_equal(a.values, first.values) for a in own):
         return first, ""
     scope = max(Scope.STRAND, *(a.scope for a in own), key=_FINENESS.index)
     dtype = np.result_type(*(a.values.dtype for a in own))
-    pieces = [
-        _spread(part, a, scope, dtype, first.values.shape[1:]) for part, a in zip(parts, held, strict=True)
-    ]
+    pieces = [_spread(part, a, scope, dtype, first.values.shape[1:]) for part, a in zip(parts, held, strict=True)]
     lacking = [part.name for part, a in zip(parts, held, strict=True) if a is None]
     note = f"attribute {name!r} is zero or empty in {', '.join(lacking)}, which lacks it" if lacking else ""
     return Attribute(np.concatenate(pieces), scope), note

@@ -82,9 +82,7 @@ def _from_counts(path: Path, arrays: dict[str, NDArray[Any]]) -> Groom:
         raise ReadError(f"{path}: has no array {missing.pop()!r}, only {', '.join(sorted(arrays))}")
     counts, points = arrays[COUNTS], arrays[POINTS]
     if counts.ndim != 1 or counts.dtype.kind not in "iu":
-        raise ReadError(
-            f"{path}: 'cnt' must be whole numbers of shape (S,), not {counts.dtype} {counts.shape}"
-        )
+        raise ReadError(f"{path}: 'cnt' must be whole numbers of shape (S,), not {counts.dtype} {counts.shape}")
     if points.ndim != 2 or points.shape[1] != 3 or points.dtype.kind not in "fiu":
         raise ReadError(f"{path}: 'data' must be numbers of shape (P, 3), not {points.dtype} {points.shape}")
     counts = counts.astype(np.int64)
@@ -106,9 +104,7 @@ def _from_counts(path: Path, arrays: dict[str, NDArray[Any]]) -> Groom:
         if key.startswith(ATTRIBUTE_PREFIX):
             scope, _, name = key[len(ATTRIBUTE_PREFIX) :].partition(":")
             if scope not in {s.value for s in Scope} or not name:
-                raise ReadError(
-                    f"{path}: array {key!r} names no scope (groom, strand or point) and attribute"
-                )
+                raise ReadError(f"{path}: array {key!r} names no scope (groom, strand or point) and attribute")
             attributes[name] = Attribute(values, Scope(scope))
     offsets = np.concatenate([[0], np.cumsum(counts)])
     try:

@@ -100,9 +100,7 @@ def write(groom: Groom, path: Path) -> list[str]:
         lost.append(f"{empty} strands without points were left out")
     if np.any(np.diff(order) < 0):
         lost.append("strands were put in the order of their objects")
-    lost += [
-        f"attribute {name!r} was not kept: OBJ lines hold none" for name in objects.other_attributes(groom)
-    ]
+    lost += [f"attribute {name!r} was not kept: OBJ lines hold none" for name in objects.other_attributes(groom)]
     with np.errstate(over="ignore"):
         points = ordered.points.astype(np.float32)
     with open(path, "wb") as file:
@@ -114,9 +112,7 @@ def write(groom: Groom, path: Path) -> list[str]:
         for index, name in enumerate(groom.objects):
             file.write(f"o {_one_line(name)}\n".encode())
             strands = np.flatnonzero((owner == index) & (counts > 0)).tolist()
-            file.write(
-                "".join(f"l {' '.join(numbers[bounds[s] : bounds[s + 1]])}\n" for s in strands).encode()
-            )
+            file.write("".join(f"l {' '.join(numbers[bounds[s] : bounds[s + 1]])}\n" for s in strands).encode())
     return lost
 
 
@@ -165,9 +161,7 @@ def _rows(
     return rows
 
 
-def _numbers(
-    path: Path, lines: _Lines, tokens: NDArray[np.int64], text: bytes, dtype: type[np.generic]
-) -> NDArray:
+def _numbers(path: Path, lines: _Lines, tokens: NDArray[np.int64], text: bytes, dtype: type[np.generic]) -> NDArray:
     """Parse as many numbers as there are tokens, or raise ReadError at the first that is none."""
     with warnings.catch_warnings():
         # NumPy warns, and stops, at the first thing that is no number.

@@ -32,9 +32,7 @@ class Container:
         self.path = path
         self._view = view
         if view[:4] == HDF5_MAGIC:
-            raise ReadError(
-                f"{path}: an Alembic file of the old HDF5 kind: export it again as Ogawa, today's kind"
-            )
+            raise ReadError(f"{path}: an Alembic file of the old HDF5 kind: export it again as Ogawa, today's kind")
         if view[:5] != MAGIC:
             raise ReadError(f"{path}: not an Alembic file (it does not begin with 'Ogawa')")
         if len(view) < HEADER_BYTES:
@@ -42,9 +40,7 @@ class Container:
         if view[5] != CLOSED:
             raise self.damaged("whoever wrote it did not finish")
         if int.from_bytes(view[6:8], "big") != VERSION:
-            raise ReadError(
-                f"{path}: Ogawa of version {int.from_bytes(view[6:8], 'big')}, only {VERSION} is known"
-            )
+            raise ReadError(f"{path}: Ogawa of version {int.from_bytes(view[6:8], 'big')}, only {VERSION} is known")
         self.root = int.from_bytes(view[8:16], "little")
 
     def children(self, entry: int) -> list[int]:

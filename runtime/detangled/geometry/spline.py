@@ -68,9 +68,7 @@ def spline_slopes(t: NDArray[np.float64], values: NDArray[np.float64]) -> NDArra
         pivot = 2.0 * (h0 + h1) - h1 * ratio[i - 1]
         ratio[i] = h0 / pivot
         for c in range(channels):
-            right = 3.0 * (
-                h1 * (values[i, c] - values[i - 1, c]) / h0 + h0 * (values[i + 1, c] - values[i, c]) / h1
-            )
+            right = 3.0 * (h1 * (values[i, c] - values[i - 1, c]) / h0 + h0 * (values[i + 1, c] - values[i, c]) / h1)
             slopes[i, c] = (right - h1 * slopes[i - 1, c]) / pivot
     for i in range(n - 2, 0, -1):
         for c in range(channels):
@@ -108,9 +106,7 @@ def spline_sample(
             h01 = u * u * (3.0 - 2.0 * u)
             h11 = -u * u * a * h
             for c in range(channels):
-                out[i, c] = (
-                    h00 * values[k, c] + h10 * slopes[k, c] + h01 * values[k + 1, c] + h11 * slopes[k + 1, c]
-                )
+                out[i, c] = h00 * values[k, c] + h10 * slopes[k, c] + h01 * values[k + 1, c] + h11 * slopes[k + 1, c]
     return out
 
 

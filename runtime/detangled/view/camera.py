@@ -54,9 +54,7 @@ class Camera:
         """Pixels (x to the right, y downwards; the first pixel spans 0 to 1), (n, 2), of points (n, 3)."""
         offset = np.asarray(points, dtype=np.float64) - np.asarray(self.centre)
         factor = self.scale / (1.0 - self.nearness * offset[:, 2])
-        return np.stack(
-            [self.principal[0] + factor * offset[:, 0], self.principal[1] - factor * offset[:, 1]], axis=1
-        )
+        return np.stack([self.principal[0] + factor * offset[:, 0], self.principal[1] - factor * offset[:, 1]], axis=1)
 
 
 def view_rotation(view: str, up: str) -> NDArray[np.float64]:

@@ -41,9 +41,7 @@ def drawable(groom: Groom, rotation: NDArray[np.float64]) -> Curves:
     points = np.empty((len(groom.points), 3), dtype=np.float32)
     counts = np.empty(groom.strand_count, dtype=np.int64)
     box = np.array([[np.inf] * 3, [-np.inf] * 3])
-    total = _turn(
-        groom.points, groom.offsets, np.ascontiguousarray(rotation), FARTHEST_CM, points, counts, box
-    )
+    total = _turn(groom.points, groom.offsets, np.ascontiguousarray(rotation), FARTHEST_CM, points, counts, box)
     ids = np.flatnonzero(counts)
     offsets = np.concatenate([[0], np.cumsum(counts[ids])]).astype(np.int64)
     return Curves(points[:total], offsets, ids.astype(np.int64), box[0], box[1])
@@ -62,9 +60,7 @@ def lens(camera: Camera, samples: int) -> NDArray[np.float64]:
     )
 
 
-def trace(
-    curves: Curves, view: NDArray[np.float64], samples: int
-) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
+def trace(curves: Curves, view: NDArray[np.float64], samples: int) -> tuple[NDArray[np.float32], NDArray[np.int32]]:
     """Polylines that cannot be told from each strand's centripetal Catmull-Rom curve in this view.
 
     Returns vertices (V, 3) in camera axes [cm] and the strand of each, (V,) int32.
@@ -155,9 +151,7 @@ def _trace(begin, end, points, offsets, view, flatness, fill, rows, vertices, ow
                 m1 = b - d1 * ((p[3, c] - a) / (d1 + d2) - (p[3, c] - p[2, c]) / d2)
                 for k in range(pieces):
                     t = k / pieces
-                    vertices[row + k, c] = a + t * (
-                        m0 + t * (3.0 * b - 2.0 * m0 - m1 + t * (m0 + m1 - 2.0 * b))
-                    )
+                    vertices[row + k, c] = a + t * (m0 + t * (3.0 * b - 2.0 * m0 - m1 + t * (m0 + m1 - 2.0 * b)))
             for k in range(pieces):
                 owners[row + k] = s
             row += pieces

@@ -141,9 +141,7 @@ def _march(begin, end, density, blocking, rays, weights, start, reach, values): 
                 open_sky = 0.0
                 for r in range(len(rays)):
                     limit = 1e9 if r < 2 else reach
-                    tau = blocking * _optical_depth(
-                        density, i, j, k, rays[r, 0], rays[r, 1], rays[r, 2], start, limit
-                    )
+                    tau = blocking * _optical_depth(density, i, j, k, rays[r, 0], rays[r, 1], rays[r, 2], start, limit)
                     if r < 2:
                         values[i, j, k, r] = tau
                     else:

@@ -71,9 +71,7 @@ def render(
     for number, curves in enumerate(panels, start=1):
         if len(curves.ids) == 0:
             name = names[number - 1] if names else f"groom {number}"
-            raise ReadError(
-                f"{name} has no strand of two distinct finite points, so there is nothing to draw"
-            )
+            raise ReadError(f"{name} has no strand of two distinct finite points, so there is nothing to draw")
 
     font_size = max(13, round(min(size) / 34))
     foot = 2 * font_size if any(captions) else 0

@@ -154,9 +154,7 @@ def _cover(vertices, segments, top, view, half, nearest, farthest, seen, place):
                 t0, t1 = max(0.0, middle - spread_), min(1.0, middle + spread_)
             left = ax + min(t0 * dx, t1 * dx) - radius
             right = ax + max(t0 * dx, t1 * dx) + radius
-            for c in range(
-                max(0, int(np.ceil(left - 0.5))), min(columns - 1, int(np.floor(right - 0.5))) + 1
-            ):
+            for c in range(max(0, int(np.ceil(left - 0.5))), min(columns - 1, int(np.floor(right - 0.5))) + 1):
                 x = c + 0.5 - ax
                 t = min(max((x * dx + y * dy) * inverse, 0.0), 1.0)
                 ex, ey = x - t * dx, y - t * dy
@@ -252,9 +250,7 @@ def _colour(  # type: ignore[no-untyped-def]
                 norm = 1.0 / max(np.sqrt(square), 1e-9)
                 tx, ty, tz = tangent[0] * norm, tangent[1] * norm, tangent[2] * norm
                 px, py, pz = other[0], other[1], other[2]
-                _light_at(
-                    values, (px - origin[0]) / cell, (py - origin[1]) / cell, (pz - origin[2]) / cell, reach
-                )
+                _light_at(values, (px - origin[0]) / cell, (py - origin[1]) / cell, (pz - origin[2]) / cell, reach)
                 shade(px, py, pz, tx, ty, tz, u, tint[strands[i]], reach, view, key, rim, colour)
                 hits += alike
                 for k in range(3):

@@ -100,9 +100,7 @@ def shade(px, py, pz, tx, ty, tz, u, tint, reach, view, key, rim, out):  # type:
 
     along = tx * key[0] + ty * key[1] + tz * key[2]
     facing = nx * key[0] + ny * key[1] + nz * key[2]
-    diffuse = np.sqrt(max(1.0 - along * along, 0.0)) * (
-        0.45 + 0.55 * max(0.0, (facing + WRAP) / (1.0 + WRAP))
-    )
+    diffuse = np.sqrt(max(1.0 - along * along, 0.0)) * (0.45 + 0.55 * max(0.0, (facing + WRAP) / (1.0 + WRAP)))
     hx, hy, hz = key[0] + vx, key[1] + vy, key[2] + vz
     norm = 1.0 / np.sqrt(hx * hx + hy * hy + hz * hz)
     hx, hy, hz = hx * norm, hy * norm, hz * norm
