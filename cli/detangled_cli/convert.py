@@ -37,6 +37,7 @@ def command(source: Path, target: Path, unit: str | None, out_unit: str | None) 
     """
     from detangled.formats import read, write
     from detangled.units import cm_per_unit, unit_name
+    from detangled_cli.info import UNUSABLE, usable_strands
 
     groom = read(source, unit=unit)
     for sentence in groom.notes:
@@ -45,4 +46,9 @@ def command(source: Path, target: Path, unit: str | None, out_unit: str | None) 
         groom = replace(groom, unit_cm=cm_per_unit(out_unit), unit_source="given")
     for sentence in write(groom, target):
         warn(f"{target}: {sentence}")
-    note(f"{target}: {groom.strand_count:,} strands, {len(groom.points):,} points, in {unit_name(groom.unit_cm)}")
+    unusable = int((~usable_strands(groom)).sum())
+    if unusable:
+        warn(f"{target}: {unusable:,} of the strands cannot be used as hair ({UNUSABLE})")
+    strands = f"{groom.strand_count:,} strand{'' if groom.strand_count == 1 else 's'}"
+    points = f"{len(groom.points):,} point{'' if len(groom.points) == 1 else 's'}"
+    note(f"{target}: {strands}, {points}, in {unit_name(groom.unit_cm)}")

@@ -23,6 +23,10 @@ UNIT_SOURCES = {
     "default": "assumed",
 }
 
+UNUSABLE = "not finite, or fewer than two distinct points"
+# From here on digits behind the point say nothing, and those before it fill the line.
+LARGE = 1e7
+
 
 @click.command()
 @input_argument
@@ -33,7 +37,7 @@ def command(source: Path, as_json: bool, unit: str | None) -> None:
     """Describe a groom: strands, lengths, unit, attributes.
 
     Lengths are those of the polylines, in cm. Strands that hold a value that is not finite, or fewer than two
-    points, are counted as unusable and left out of the lengths and the box.
+    distinct points, are counted as unusable and left out of the lengths and the box.
 
     \b
     Example:
@@ -52,7 +56,7 @@ def describe(groom: Groom) -> dict[str, Any]:
 
     from detangled.units import unit_name
 
-    usable = _usable(groom)
+    usable = usable_strands(groom)
     # Measured apart from the others, since one value that is not finite spoils the sums over all of them.
     sound = groom.select(usable)
     box = [sound.points.min(axis=0).tolist(), sound.points.max(axis=0).tolist()] if len(sound.points) else None
@@ -92,7 +96,7 @@ def as_text(facts: dict[str, Any]) -> str:
         ("objects", ", ".join(facts["objects"]) or "none"),
     ]
     if facts["unusable_strands"]:
-        rows.insert(1, ("unusable", f"{facts['unusable_strands']:,} (not finite, or fewer than two points)"))
+        rows.insert(1, ("unusable", f"{facts['unusable_strands']:,} ({UNUSABLE})"))
     lines = [facts["file"], *(f"  {name:<10}  {text}" for name, text in rows)]
     lines.append(f"  {'attributes':<10}  {'' if facts['attributes'] else 'none'}".rstrip())
     width = max(map(len, facts["attributes"]), default=0)
@@ -103,13 +107,18 @@ def as_text(facts: dict[str, Any]) -> str:
     return "\n".join(lines)
 
 
-def _usable(groom: Groom) -> NDArray[np.bool_]:
-    """Whether a strand has two points and finite ones only, (S,)."""
+def usable_strands(groom: Groom) -> NDArray[np.bool_]:
+    """Whether a strand has two distinct points, finite ones only, and a length that is finite too, (S,)."""
     import numpy as np
 
     bad_before = np.concatenate([[0], np.cumsum(~np.isfinite(groom.points).all(axis=1))])
     finite = bad_before[groom.offsets[1:]] == bad_before[groom.offsets[:-1]]
-    return np.asarray(finite & (groom.point_counts >= 2))
+    usable = np.asarray(finite & (groom.point_counts >= 2))
+    # Squares of what a file can hold may be beyond what a float can.
+    with np.errstate(over="ignore"):
+        lengths = groom.select(usable).polyline_lengths()
+    usable[usable] = (lengths > 0.0) & np.isfinite(lengths)
+    return usable
 
 
 def _spread(values: NDArray[Any]) -> dict[str, float] | None:
@@ -123,13 +132,17 @@ def _spread(values: NDArray[Any]) -> dict[str, float] | None:
 def _range(spread: dict[str, float] | None, number: str, unit: str, lead: str = "") -> str:
     if spread is None:
         return ""
-    low, middle, high = (format(spread[name], number) for name in ("min", "median", "max"))
+    low, middle, high = (_number(spread[name], number) for name in ("min", "median", "max"))
     return f"{lead}{low} to {high}{unit}, median {middle}{unit}"
+
+
+def _number(value: float, form: str) -> str:
+    return format(value, form if abs(value) < LARGE else ".3g")
 
 
 def _box(box: dict[str, list[float]] | None) -> str:
     if box is None:
         return "none"
-    low, high = (" ".join(f"{value:.2f}" for value in box[end]) for end in ("min", "max"))
-    size = " x ".join(f"{b - a:.2f}" for a, b in zip(box["min"], box["max"], strict=True))
+    low, high = (" ".join(_number(value, ".2f") for value in box[end]) for end in ("min", "max"))
+    size = " x ".join(_number(b - a, ".2f") for a, b in zip(box["min"], box["max"], strict=True))
     return f"{size} cm, from ({low}) to ({high})"

@@ -1,5 +1,60 @@
-"""Detangled: strand-based hair, measured, edited and generated on a CPU."""
+"""Detangled: strand-based hair, measured, edited and generated on a CPU.
+
+The Python API says what the command line says: ``read`` a groom, ``fit`` a texture to a few strands, ``retexture`` the
+groom with it, ``write`` the result. Each is loaded when first used.
+"""
 
 from __future__ import annotations
 
+from importlib import import_module
+from typing import TYPE_CHECKING, Any
+
+if TYPE_CHECKING:
+    from detangled.fitted import fit_patches as fit
+    from detangled.fitted import load_texture, save_texture
+    from detangled.formats import read, write
+    from detangled.groom import Attribute, Groom, Scope
+    from detangled.grooming.guides import guides_groom as guides
+    from detangled.retexture import Length, Options, Result, retexture
+
 __version__ = "0.1.0"
+
+_WHERE = {
+    "Attribute": ("detangled.groom", "Attribute"),
+    "Groom": ("detangled.groom", "Groom"),
+    "Scope": ("detangled.groom", "Scope"),
+    "read": ("detangled.formats", "read"),
+    "write": ("detangled.formats", "write"),
+    "fit": ("detangled.fitted", "fit_patches"),
+    "save_texture": ("detangled.fitted", "save_texture"),
+    "load_texture": ("detangled.fitted", "load_texture"),
+    "guides": ("detangled.grooming.guides", "guides_groom"),
+    "retexture": ("detangled.retexture", "retexture"),
+    "Length": ("detangled.retexture", "Length"),
+    "Options": ("detangled.retexture", "Options"),
+    "Result": ("detangled.retexture", "Result"),
+}
+
+__all__ = [
+    "Attribute",
+    "Groom",
+    "Length",
+    "Options",
+    "Result",
+    "Scope",
+    "__version__",
+    "fit",
+    "guides",
+    "load_texture",
+    "read",
+    "retexture",
+    "save_texture",
+    "write",
+]
+
+
+def __getattr__(name: str) -> Any:
+    if name not in _WHERE:
+        raise AttributeError(f"module 'detangled' has no attribute {name!r}")
+    module, attribute = _WHERE[name]
+    return getattr(import_module(module), attribute)

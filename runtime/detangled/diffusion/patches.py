@@ -5,6 +5,8 @@ examples' values weighted by how well the patch around them explains the noisy p
 analytic theory of creativity in convolutional diffusion models"): weights exp(-|x / alpha - y|^2 alpha^2 / (2
 sigma^2)), wide patches at high noise, narrow ones at low noise. Distances between all patches of two strands are
 running sums along their diagonals, so their cost does not depend on the patch's width.
+
+A strand is made in stretches, each offered a few examples of its own, so that none can be copied from root to tip.
 """
 
 from __future__ import annotations
@@ -16,7 +18,6 @@ from numpy.typing import NDArray
 
 from detangled.kernels import kernel, parallel_kernel, prange
 
-BLOCK = 128  # cells over which the window of positions stays put, where strand and example differ in length
 NEGLIGIBLE = -30.0  # logarithm of a weight, relative to the largest, that changes nothing in float64
 
 
@@ -26,26 +27,27 @@ class PatchSchedule:
 
     widest, narrowest: half-widths at and beyond the two levels.
     high, low: noise levels sigma / alpha.
-    window: how far, in cells, an example's position may lie from the strand's own.
+    window: how far, in cells, an example's position may lie from where the strand's own falls in it.
     """
 
     widest: int = 100
-    narrowest: int = 6
+    narrowest: int = 12
     high: float = 4.0
     low: float = 0.1
     window: int = 24
 
     def half_width(self, alpha: float, sigma: float) -> int:
+        """Half-width of the patches at this noise level."""
         level = np.log(max(sigma / alpha, 1e-12))
         part = np.clip((level - np.log(self.low)) / (np.log(self.high) - np.log(self.low)), 0.0, 1.0)
         return round(self.narrowest * (self.widest / self.narrowest) ** float(part))
 
 
 @kernel
-def _pointwise(
-    x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int, sums: NDArray[np.float64], sign: float
+def _add_distances(
+    x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int, sign: float, sums: NDArray[np.float64]
 ) -> None:
-    """Add ``sign`` times the squared differences of cell i of x (3, L) and cells j, j + 1, ... of y (3, M)."""
+    """Add ``sign`` times the squared distance of cell i of x (3, L) to cells j, j + 1, ... of y (3, M) to ``sums``."""
     a = x[0, i]
     b = x[1, i]
     c = x[2, i]
@@ -57,81 +59,55 @@ def _pointwise(
 
 
 @kernel
-def denoise_strand(
+def denoise_stretch(
     x: NDArray[np.float64],
+    begin: int,
+    end: int,
     examples: NDArray[np.float64],
     starts: NDArray[np.int64],
     chosen: NDArray[np.int64],
-    shifts: NDArray[np.float64],
+    diagonals: NDArray[np.int64],
     half_width: int,
     window: int,
     precision: float,
     out: NDArray[np.float64],
 ) -> None:
-    """Predict the clean signal of one strand.
+    """Predict cells ``begin`` to ``end`` of the clean signal of one strand.
 
     x: (3, L), the noisy signal divided by alpha. examples: (3, C), example e in columns starts[e] to starts[e + 1].
-    chosen: (E,), the examples that this strand looks at. shifts: (E,), where its first cell lies in each, in cells;
-    longer strands than the example are mapped in proportion. precision: alpha^2 / (2 sigma^2). out: (3, L).
+    chosen: (E,), the examples offered here; diagonals: (E,), example cell minus strand cell where the window of each
+    is centred. precision: alpha^2 / (2 sigma^2). out: (3, L).
     """
     cells = x.shape[1]
     count = chosen.shape[0]
-    widest = 0
-    for e in range(count):
-        widest = max(widest, starts[chosen[e] + 1] - starts[chosen[e]])
-    # Candidates of one example lie side by side: entry k of its row is the diagonal j = i + first[e] + k.
-    sums = np.empty((count, min(2 * window + BLOCK, widest + cells) + 2))
-    scores = np.empty_like(sums)
-    first = np.empty(count, dtype=np.int64)
-    last = np.empty(count, dtype=np.int64)  # one beyond the last diagonal
-    block_end = 0
-    for i in range(cells):
-        fresh = i == block_end
-        if fresh:
-            block_end = cells
-            for e in range(count):
-                if starts[chosen[e] + 1] - starts[chosen[e]] < cells:
-                    block_end = min(cells, i + BLOCK)
-            for e in range(count):
-                begin = starts[chosen[e]]
-                length = starts[chosen[e] + 1] - begin
-                slope = (length - 1.0) / max(cells - 1, 1) if length < cells else 1.0
-                low = shifts[e] + i * slope - i
-                high = shifts[e] + (block_end - 1) * (slope - 1.0)
-                if low > high:
-                    low, high = high, low
-                first[e] = int(np.floor(low)) - window
-                last[e] = int(np.ceil(high)) + window + 1
-                sums[e, : last[e] - first[e]] = 0.0
+    span = 2 * window + 1
+    sums = np.zeros((count, span))  # squared distance of the patches, by example and diagonal
+    scores = np.empty((count, span))
+    for i in range(begin, end):
         largest = -np.inf
         for e in range(count):
-            begin = starts[chosen[e]]
-            length = starts[chosen[e] + 1] - begin
-            y = examples[:, begin : begin + length]
-            row = sums[e]
-            # Cells entering and leaving the patches; at the start of a block all of them enter.
-            enter_from = max(0, i - half_width) if fresh else i + half_width
-            for k in range(enter_from, min(cells, i + half_width + 1)):
-                low_k = max(0, -(k + first[e]))
-                high_k = min(last[e] - first[e], length - (k + first[e]))
-                if high_k > low_k:
-                    _pointwise(x, y, k, k + first[e] + low_k, row[low_k:high_k], 1.0)
+            first = diagonals[e] - window
+            length = starts[chosen[e] + 1] - starts[chosen[e]]
+            y = examples[:, starts[chosen[e]] : starts[chosen[e]] + length]
+            # Cells that enter the patches, all of them at the first position, and the one that leaves.
+            for k in range(max(0, i - half_width) if i == begin else i + half_width, min(cells, i + half_width + 1)):
+                low = max(0, -(k + first))
+                high = min(span, length - (k + first))
+                if high > low:
+                    _add_distances(x, y, k, k + first + low, 1.0, sums[e, low:high])
             k = i - half_width - 1
-            if not fresh and k >= 0:
-                low_k = max(0, -(k + first[e]))
-                high_k = min(last[e] - first[e], length - (k + first[e]))
-                if high_k > low_k:
-                    _pointwise(x, y, k, k + first[e] + low_k, row[low_k:high_k], -1.0)
+            if i > begin and k >= 0:
+                low = max(0, -(k + first))
+                high = min(span, length - (k + first))
+                if high > low:
+                    _add_distances(x, y, k, k + first + low, -1.0, sums[e, low:high])
             # A patch cut short by an end counts as a whole one with the same mean square.
             before = min(i, half_width)
             after = min(cells - 1 - i, half_width)
-            full = 2 * half_width + 1.0
-            low_k = max(0, -(i + first[e]))
-            high_k = min(last[e] - first[e], length - (i + first[e]))
-            for k in range(low_k, high_k):
-                j = i + first[e] + k
-                here = min(before, j) + min(after, length - 1 - j) + 1
-                score = -row[k] * (full / here) * precision
+            full = (2 * half_width + 1.0) * precision
+            for k in range(max(0, -(i + first)), min(span, length - (i + first))):
+                j = i + first + k
+                score = -sums[e, k] * full / (min(before, j) + min(after, length - 1 - j) + 1)
                 scores[e, k] = score
                 largest = max(largest, score)
         total = 0.0
@@ -139,19 +115,17 @@ def denoise_strand(
         mean1 = 0.0
         mean2 = 0.0
         for e in range(count):
-            begin = starts[chosen[e]]
-            length = starts[chosen[e] + 1] - begin
-            low_k = max(0, -(i + first[e]))
-            high_k = min(last[e] - first[e], length - (i + first[e]))
-            for k in range(low_k, high_k):
+            first = diagonals[e] - window
+            length = starts[chosen[e] + 1] - starts[chosen[e]]
+            column = starts[chosen[e]] + i + first
+            for k in range(max(0, -(i + first)), min(span, length - (i + first))):
                 score = scores[e, k] - largest
                 if score > NEGLIGIBLE:
                     weight = np.exp(score)
-                    j = begin + i + first[e] + k
                     total += weight
-                    mean0 += weight * examples[0, j]
-                    mean1 += weight * examples[1, j]
-                    mean2 += weight * examples[2, j]
+                    mean0 += weight * examples[0, column + k]
+                    mean1 += weight * examples[1, column + k]
+                    mean2 += weight * examples[2, column + k]
         out[0, i] = mean0 / total
         out[1, i] = mean1 / total
         out[2, i] = mean2 / total
@@ -164,14 +138,52 @@ def denoise_strands(
     sigma: float,
     examples: NDArray[np.float64],
     starts: NDArray[np.int64],
+    bounds: NDArray[np.int64],
     chosen: NDArray[np.int64],
-    shifts: NDArray[np.float64],
+    diagonals: NDArray[np.int64],
     half_width: int,
     window: int,
 ) -> NDArray[np.float64]:
-    """Predicted clean signals (B, 3, L) of noisy ones; ``chosen`` and ``shifts`` are (B, E), the rest as above."""
+    """Predicted clean signals (B, 3, L) of noisy ones.
+
+    bounds: (K + 1,), where the stretches of all these strands begin and end. chosen, diagonals: (B, K, E).
+    """
     out = np.empty_like(noisy)
     precision = 0.5 * (alpha / sigma) ** 2
     for b in prange(noisy.shape[0]):
-        denoise_strand(noisy[b] / alpha, examples, starts, chosen[b], shifts[b], half_width, window, precision, out[b])
+        x = noisy[b] / alpha
+        for p in range(bounds.shape[0] - 1):
+            denoise_stretch(
+                x, bounds[p], bounds[p + 1], examples, starts, chosen[b, p], diagonals[b, p], half_width, window,
+                precision, out[b],
+            )  # fmt: skip
     return out
+
+
+def plan_stretches(
+    rng: np.random.Generator, lengths: NDArray[np.int64], cells: int, bounds: NDArray[np.int64], offered: int
+) -> tuple[NDArray[np.int64], NDArray[np.int64]]:
+    """Choose the examples offered to each stretch of one strand, (K, E), and the diagonals they lie on, (K, E).
+
+    lengths: cells of each example. A strand shorter than an example is laid over a random part of it; along a
+    longer one positions are mapped in proportion. Neighbouring stretches share no example while there are enough;
+    where there are few, each is offered at several places.
+    """
+    stretches = len(bounds) - 1
+    order = rng.permutation(len(lengths))
+    while len(order) < stretches * offered:
+        order = np.concatenate([order, rng.permutation(len(lengths))])
+    chosen = order[: stretches * offered].reshape(stretches, offered)
+    length = lengths[chosen]
+    middle = 0.5 * (bounds[:-1] + bounds[1:])[:, None]
+    spread = np.abs(length - cells) if len(lengths) >= stretches * offered else np.maximum(length, cells)
+    shorter = rng.uniform(0.0, 1.0, chosen.shape) * np.maximum(length - cells, 0)
+    longer = np.where(length < cells, middle * (length / cells - 1.0), 0.0)
+    jitter = 0.0
+    if len(lengths) < stretches * offered:
+        jitter = rng.uniform(-0.25, 0.25, chosen.shape) * np.minimum(length, spread)
+    diagonals = np.round(shorter + longer + jitter).astype(np.int64)
+    # As much of the stretch as can should lie inside the example.
+    lowest = np.minimum(-bounds[:-1, None], length - bounds[1:, None])
+    highest = np.maximum(-bounds[:-1, None], length - bounds[1:, None])
+    return chosen, np.clip(diagonals, lowest, highest)

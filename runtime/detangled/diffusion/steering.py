@@ -2,8 +2,9 @@
 
 A signal of curvature and torsion says nothing of the axis' direction: small errors turn it a little at each twist,
 and the turns add up along the strand. In canonical space the axis is straight by definition, so the prediction is
-steered: while its frame is integrated, the axis, a low-pass of the tangent, is turned back at a gentle rate, and the
-part of that rotation that bending and torsion can make (about B and about T) is added to them.
+steered: while its frame is integrated, the axis, a low-pass of the tangent, is turned back, and the part of that
+rotation that bending and torsion can make (about B and about T) is added to them, most of it where the torsion is
+large already: a change at a twist changes the texture least.
 """
 
 from __future__ import annotations
@@ -13,13 +14,16 @@ from numpy.typing import NDArray
 
 from detangled.kernels import kernel, parallel_kernel, prange
 
-AXIS_TURNS = 0.75  # deviation of the Gaussian that makes the axis of the tangents, in turns
-RETURN_TURNS = 1.5  # length over which a deviation of the axis falls to 1/e, in turns
+# Found on strands four times as long as their examples (benchmarks/retexture.py prints wander and distances).
+AXIS_TURNS = 0.5  # deviation of the Gaussian that makes the axis of the tangents, in turns
+RETURN_TURNS = 0.4  # length over which a tilt of the axis falls to 1/e, in turns
+FREE_TILT = 0.15  # sine of the tilt that is left alone: real strands wander so much
+MOST_TURNED = 0.7  # share of the tilt that one cell may take away
 
 
 @kernel
 def _advance(frame: NDArray[np.float64], bend: float, twist: float) -> None:
-    """Turn the frame (rows T, N, B) by the Darboux vector (twist, 0, bend) of a step [rad], exactly."""
+    """Turn the frame (rows T, N, B) by the Darboux vector twist T + bend B [rad], exactly (Rodrigues' formula)."""
     angle2 = bend * bend + twist * twist
     angle = np.sqrt(angle2)
     if angle < 1e-12:
@@ -30,17 +34,19 @@ def _advance(frame: NDArray[np.float64], bend: float, twist: float) -> None:
         t = frame[0, k]
         n = frame[1, k]
         b = frame[2, k]
-        # Rodrigues' formula: omega = twist T + bend B, so omega x (T, N, B) = (bend N, twist B - bend T, -twist N).
-        frame[0, k] = t + s * bend * n + c * bend * (twist * b - bend * t)
-        frame[1, k] = n + s * (twist * b - bend * t) - c * angle2 * n
-        frame[2, k] = b - s * twist * n - c * twist * (twist * b - bend * t)
+        # The rates of T, N, B are bend N, twist B - bend T and -twist N.
+        rate = twist * b - bend * t
+        frame[0, k] = t + s * bend * n + c * bend * rate
+        frame[1, k] = n + s * rate - c * angle2 * n
+        frame[2, k] = b - s * twist * n - c * twist * rate
 
 
 @kernel
 def steer_strand(kappa: NDArray[np.float64], tau: NDArray[np.float64], step: float, turn: float) -> None:
     """Straighten the axis of one strand by changing ``kappa`` and ``tau`` (L,) [1/cm] in place.
 
-    step: arc length of a cell [cm]. turn: arc length of a turn [cm].
+    step: arc length of a cell [cm]. turn: arc length of a turn [cm]. The axis is not known within a turn of the
+    ends, where it is taken to go straight on.
     """
     cells = kappa.shape[0]
     frames = np.empty((cells, 3, 3))
@@ -50,42 +56,65 @@ def steer_strand(kappa: NDArray[np.float64], tau: NDArray[np.float64], step: flo
         frames[i] = frame
         _advance(frame, 0.5 * kappa[i] * step, 0.5 * tau[i] * step)
     reach = int(np.ceil(2.5 * AXIS_TURNS * turn / step))
-    falloff = 0.5 * (step / (AXIS_TURNS * turn)) ** 2
-    weights = np.exp(-falloff * np.arange(reach + 1.0) ** 2)
+    inner = min(reach, (cells - 1) // 2)
+    weights = np.exp(-0.5 * (np.arange(reach + 1.0) * step / (AXIS_TURNS * turn)) ** 2)
+    typical = np.median(np.abs(tau)) + 1e-9
+    slack = 1.0 + (tau / typical) ** 2
     axis = np.empty((cells, 3))
+    share = np.empty(cells)  # how much of its surroundings' steering a cell takes on
     for i in range(cells):
-        for k in range(3):
-            total = 0.0
-            for j in range(max(0, i - reach), min(cells, i + reach + 1)):
-                total += weights[abs(i - j)] * frames[j, 0, k]
-            axis[i, k] = total
-        axis[i] /= np.sqrt((axis[i] * axis[i]).sum()) + 1e-12
-    goal = axis[0].copy()
+        around = 0.0
+        total = 0.0
+        ax = 0.0
+        ay = 0.0
+        az = 0.0
+        for j in range(max(0, i - reach), min(cells, i + reach + 1)):
+            weight = weights[abs(i - j)]
+            total += weight
+            around += weight * slack[j]
+            ax += weight * frames[j, 0, 0]
+            ay += weight * frames[j, 0, 1]
+            az += weight * frames[j, 0, 2]
+        size = np.sqrt(ax * ax + ay * ay + az * az) + 1e-12
+        axis[i, 0] = ax / size
+        axis[i, 1] = ay / size
+        axis[i, 2] = az / size
+        share[i] = slack[i] * total / around
+    for i in range(inner):
+        axis[i] = axis[inner]
+        axis[cells - 1 - i] = axis[cells - 1 - inner]
+    goal = axis[inner].copy()
     frame = np.eye(3)
     local = np.empty(3)
     here = np.empty(3)
     rate = step / (RETURN_TURNS * turn)
     for i in range(cells):
-        # The axis as it lies relative to the frame does not change with what was steered before.
+        # How the axis lies to the frame does not change with what was steered before.
         for k in range(3):
-            local[k] = (frames[i, k] * axis[i]).sum()
+            local[k] = frames[i, k, 0] * axis[i, 0] + frames[i, k, 1] * axis[i, 1] + frames[i, k, 2] * axis[i, 2]
         for k in range(3):
             here[k] = local[0] * frame[0, k] + local[1] * frame[1, k] + local[2] * frame[2, k]
-        about = np.cross(here, goal)
-        bend = rate * (about * frame[2]).sum()
-        twist = rate * (about * frame[0]).sum()
-        kappa[i] = max(kappa[i] + bend / step, 0.0)
-        tau[i] += twist / step
+        ax = here[1] * goal[2] - here[2] * goal[1]
+        ay = here[2] * goal[0] - here[0] * goal[2]
+        az = here[0] * goal[1] - here[1] * goal[0]
+        tilt = np.sqrt(ax * ax + ay * ay + az * az)
+        if tilt > FREE_TILT:
+            part = min(rate * share[i], MOST_TURNED) * (1.0 - FREE_TILT / tilt) / step
+            bend = kappa[i] + part * (ax * frame[2, 0] + ay * frame[2, 1] + az * frame[2, 2])
+            kappa[i] = max(bend, 0.0)
+            tau[i] += part * (ax * frame[0, 0] + ay * frame[0, 1] + az * frame[0, 2])
         _advance(frame, kappa[i] * step, tau[i] * step)
 
 
 @parallel_kernel
-def steer_strands(signals: NDArray[np.float64], turn: float) -> None:
-    """Straighten the axes of signals (B, L, 3) of kappa, tau, v in place; ``turn``: arc length of a turn [cm]."""
+def steer_strands(signals: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+    """Signals (B, L, 3) of kappa, tau, v with straighter axes; ``turn``: arc length of a turn [cm]."""
+    out = signals.copy()
     cells = signals.shape[1]
     for b in prange(signals.shape[0]):
         kappa = signals[b, :, 0].copy()
         tau = signals[b, :, 1].copy()
         steer_strand(kappa, tau, signals[b, :, 2].mean() / cells, turn)
-        signals[b, :, 0] = kappa
-        signals[b, :, 1] = tau
+        out[b, :, 0] = kappa
+        out[b, :, 1] = tau
+    return out

@@ -89,18 +89,33 @@ def write(groom: Groom, path: str | os.PathLike[str]) -> list[str]:
         return writer(in_file_units, beside)
 
 
+def check_writable(path: str | os.PathLike[str]) -> None:
+    """Raise the WriteError that ``write`` would end in for a wrong suffix or folder, before hours of work."""
+    path = Path(path)
+    if _functions(path, WriteError)[1] is None:
+        raise WriteError(f"{path}: files ending in {path.suffix} can be read, not written")
+    target = _target_of(path)
+    if not os.access(target.parent, os.W_OK):
+        raise WriteError(f"{path}: the folder {target.parent} cannot be written to")
+
+
+def _target_of(path: Path) -> Path:
+    """What a link points to is replaced, not the link. Raises WriteError where there is no folder for it."""
+    target = Path(os.path.realpath(path))
+    if target.is_dir():
+        raise WriteError(f"{path}: a folder, not a file")
+    if not target.parent.is_dir():
+        raise WriteError(f"{path}: the folder {target.parent} does not exist")
+    return target
+
+
 @contextmanager
 def replacing(path: Path) -> Iterator[Path]:
     """Give a new file beside ``path`` that takes its place at the end, or vanishes where anything goes wrong.
 
     Raises WriteError where the folder is missing or cannot be written to.
     """
-    # What a link points to is replaced, not the link.
-    target = Path(os.path.realpath(path))
-    if target.is_dir():
-        raise WriteError(f"{path}: a folder, not a file")
-    if not target.parent.is_dir():
-        raise WriteError(f"{path}: the folder {target.parent} does not exist")
+    target = _target_of(path)
     beside = target.parent / f".{target.stem}.{secrets.token_hex(4)}{target.suffix}"
     try:
         try:
@@ -131,11 +146,22 @@ def _in_cm(groom: Groom, unit: str | None) -> Groom:
     if unit is not None:
         groom = replace(groom, unit_cm=cm_per_unit(unit), unit_source="given")
     elif groom.unit_source != "file":
-        guess = guess_unit(groom.points)
-        note = f"taken as {_UNIT_WORDS[guess]} from its size; --unit says otherwise"
-        groom = replace(groom, unit_cm=cm_per_unit(guess), unit_source="size", notes=(*groom.notes, note))
+        # Squares of what a file can hold may be beyond what a float can.
+        with np.errstate(over="ignore"):
+            guess = guess_unit(groom.points)
+        sized = guess != "cm" or _has_size(groom.points)
+        reason = "from its size" if sized else "since it has no size to go by"
+        note = f"taken as {_UNIT_WORDS[guess]} {reason}; --unit says otherwise"
+        source = "size" if sized else "default"
+        groom = replace(groom, unit_cm=cm_per_unit(guess), unit_source=source, notes=(*groom.notes, note))
     unit_cm = groom.unit_cm
     return _scaled(groom, lambda lengths: lengths * unit_cm) if unit_cm != 1.0 else groom
+
+
+def _has_size(points: np.ndarray) -> bool:
+    """Whether two finite points differ."""
+    finite = points[np.isfinite(points).all(axis=1)]
+    return len(finite) > 0 and bool(np.any(finite != finite[0]))
 
 
 def _scaled(groom: Groom, scale: Callable[[np.ndarray], np.ndarray]) -> Groom:

@@ -18,12 +18,11 @@ from numpy.typing import NDArray
 from detangled.errors import ReadError
 from detangled.formats import abc_check, register
 from detangled.formats.abc_values import BINDING_ERRORS, Value, read_property
-from detangled.formats.abc_write import write
+from detangled.formats.abc_write import DEFAULT_UP, write
 from detangled.formats.curve_bases import SmoothCurves
 from detangled.formats.merge import Part, merged
 from detangled.groom import Attribute, Groom, Scope
 
-DEFAULT_UP = "y"
 _BASES = {
     AbcGeom.BasisType.kBezierBasis: "bezier",
     AbcGeom.BasisType.kBsplineBasis: "bspline",
@@ -101,7 +100,11 @@ def _read_curves(path: Path, curves: Any, matrix: NDArray[np.float64]) -> Part:
     points = np.array(np.asarray(sample.getPositions()), dtype=np.float64).reshape(-1, 3)
     counts = np.array(np.asarray(sample.getCurvesNumVertices()), dtype=np.int64).reshape(-1)
     if np.any(counts < 0) or int(counts.sum()) != len(points):
-        raise ReadError(f"{path}: the curves {name!r} say {int(counts.sum())} points and hold {len(points)}")
+        negative = " and some below 0" if np.any(counts < 0) else ""
+        raise ReadError(
+            f"{path}: damaged: the curves {name!r} hold {len(points)} points, "
+            f"and counts a strand that add up to {int(counts.sum())}{negative}"
+        )
     found, notes = _attributes(curves, len(counts), len(points))
     if sample.getWrap() == AbcGeom.CurvePeriodicity.kPeriodic:
         notes.append(f"the closed curves of {name!r} were read as open ones")

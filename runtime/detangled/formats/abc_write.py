@@ -17,6 +17,8 @@ from detangled.formats import abc_check, objects
 from detangled.formats.abc_values import BINDING_ERRORS, GEOMETRY_SCOPES, filled, write_parameter
 from detangled.groom import Attribute, Groom, Scope
 
+DEFAULT_UP = "y"
+
 
 def write(groom: Groom, path: Path) -> list[str]:
     """Write a groom whose lengths are in the file's unit: a transform and curves for each of its objects.
@@ -38,6 +40,8 @@ def write(groom: Groom, path: Path) -> list[str]:
 def _write(groom: Groom, path: Path) -> list[str]:
     owner = objects.owners(groom)
     lost = ["strands were put in the order of their objects"] if np.any(np.diff(owner) < 0) else []
+    if groom.up != DEFAULT_UP:
+        lost.append(f"{groom.up} stays up, but an Alembic file cannot say so: most programs will take {DEFAULT_UP}")
     archive = Abc.OArchive(str(path))
     names = _node_names(groom.objects)
     several = len(names) > 1
@@ -61,7 +65,7 @@ def _write_curves(groom: Groom, named: dict[str, Attribute], schema: Any) -> lis
     others = {}
     for name in named:
         attribute = groom.attributes[name]
-        if not _set_schema_parameter(sample, name, attribute):
+        if not _set_schema_parameter(sample, name, _spread_widths(groom, attribute) if name == "width" else attribute):
             others[name] = attribute
     schema.set(sample)
     lost = []
@@ -89,6 +93,15 @@ def _set_schema_parameter(sample: Any, name: str, attribute: Attribute) -> bool:
     else:
         return False
     return True
+
+
+def _spread_widths(groom: Groom, attribute: Attribute) -> Attribute:
+    """Widths a point: Blender takes fewer as if they were, and overlooks a single one (seen in 4.5)."""
+    if attribute.scope is Scope.STRAND:
+        return Attribute(np.repeat(attribute.values, groom.point_counts, axis=0), Scope.POINT)
+    if attribute.scope is Scope.GROOM:
+        return Attribute(np.repeat(attribute.values, len(groom.points), axis=0), Scope.POINT)
+    return attribute
 
 
 def _node_names(names: tuple[str, ...]) -> list[str]:

@@ -8,13 +8,13 @@ float32.
 from __future__ import annotations
 
 import zipfile
-import zlib
 from pathlib import Path
 from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.archives import DAMAGE, read_arrays, write_arrays
 from detangled.errors import DetangledError, ReadError
 from detangled.formats import register
 from detangled.groom import Attribute, Groom, Scope
@@ -22,20 +22,6 @@ from detangled.groom import Attribute, Groom, Scope
 COUNTS, POINTS, UNIT, UP, OBJECTS = "cnt", "data", "unit_cm", "up", "objects"
 ATTRIBUTE_PREFIX = "attr:"
 DEFAULT_UP = "z"
-# Zip archives know no date before this one; any fixed date gives the same bytes for the same groom.
-ZIP_EPOCH = (1980, 1, 1, 0, 0, 0)
-ZIP_SYSTEM_UNIX = 3
-# What numpy and zipfile raise for damaged archives, beside their own classes.
-_DAMAGE = (
-    zipfile.BadZipFile,
-    zlib.error,
-    ValueError,
-    EOFError,
-    KeyError,
-    NotImplementedError,
-    SyntaxError,
-    TypeError,
-)
 
 
 def read(path: Path) -> Groom:
@@ -43,9 +29,8 @@ def read(path: Path) -> Groom:
     if not zipfile.is_zipfile(path):
         raise ReadError(f"{path}: not a .npz file (a zip archive of arrays), or cut short")
     try:
-        with np.load(path, allow_pickle=False) as archive:
-            arrays = {name: archive[name] for name in archive.files}
-    except _DAMAGE as error:
+        arrays = read_arrays(path)
+    except DAMAGE as error:
         raise ReadError(f"{path}: its arrays cannot be read: {error}") from error
     if COUNTS in arrays or POINTS in arrays:
         return _from_counts(path, arrays)
@@ -67,12 +52,7 @@ def write(groom: Groom, path: Path) -> list[str]:
             lost.append(f"attribute {name!r} was not kept: its values are Python objects")
         else:
             arrays[f"{ATTRIBUTE_PREFIX}{attribute.scope.value}:{name}"] = attribute.values
-    with zipfile.ZipFile(path, "w", zipfile.ZIP_STORED) as archive:
-        for name, array in arrays.items():
-            member = zipfile.ZipInfo(f"{name}.npy", date_time=ZIP_EPOCH)
-            member.create_system = ZIP_SYSTEM_UNIX
-            with archive.open(member, "w", force_zip64=True) as file:
-                np.lib.format.write_array(file, np.ascontiguousarray(array), allow_pickle=False)
+    write_arrays(path, arrays)
     return lost
 
 
@@ -87,7 +67,9 @@ def _from_counts(path: Path, arrays: dict[str, NDArray[Any]]) -> Groom:
         raise ReadError(f"{path}: 'data' must be numbers of shape (P, 3), not {points.dtype} {points.shape}")
     counts = counts.astype(np.int64)
     if np.any(counts < 0) or np.any(counts > len(points)) or int(counts.sum()) != len(points):
-        raise ReadError(f"{path}: 'cnt' adds up to {int(counts.sum())} points, 'data' holds {len(points)}")
+        below = np.flatnonzero(counts < 0)
+        negative = f" and gives strand {below[0]} {counts[below[0]]} points" if len(below) else ""
+        raise ReadError(f"{path}: 'cnt' adds up to {int(counts.sum())} points{negative}, 'data' holds {len(points)}")
     fields: dict[str, Any] = {"up": DEFAULT_UP}
     if UNIT in arrays:
         fields |= {"unit_cm": _unit(path, arrays[UNIT]), "unit_source": "file"}

@@ -6,6 +6,7 @@ with array operations on its bytes: no Python runs per vertex.
 
 from __future__ import annotations
 
+import codecs
 import re
 import warnings
 from pathlib import Path
@@ -20,6 +21,10 @@ from detangled.groom import Groom
 # Stands for a line break that a backslash undoes: blank like a space, yet counted in line numbers.
 JOINED = 1
 NEWLINE = 10
+# Some editors put these before a text to tell its encoding.
+UTF8_MARK = codecs.BOM_UTF8
+UTF16_MARKS = (codecs.BOM_UTF16_LE, codecs.BOM_UTF16_BE)
+DEFAULT_UP = "y"
 # Nine significant digits tell any two float32 values apart.
 POINT_FORMAT = "v %.9g %.9g %.9g\n"
 POINTS_A_BLOCK = 1 << 16
@@ -74,7 +79,10 @@ class _Lines:
 
 def read(path: Path) -> Groom:
     """Read the line elements of an OBJ file. Raises ReadError with the number of a line it cannot read."""
-    lines = _Lines(_prepared(path.read_bytes()))
+    text = path.read_bytes()
+    if text.startswith(UTF16_MARKS):
+        raise ReadError(f"{path}: a text in UTF-16: save it as UTF-8 or plain ASCII")
+    lines = _Lines(_prepared(text))
     vertices, elements = lines.of("v"), lines.of("l")
     if len(elements) == 0:
         raise ReadError(f"{path}: has no line elements ('l 1 2 3 ...'), so no strands")
@@ -97,9 +105,13 @@ def write(groom: Groom, path: Path) -> list[str]:
     counts = ordered.point_counts
     empty = int(np.count_nonzero(counts == 0))
     if empty:
-        lost.append(f"{empty} strands without points were left out")
+        lost.append(
+            f"{empty} strand{'s' if empty > 1 else ''} without points {'were' if empty > 1 else 'was'} left out"
+        )
     if np.any(np.diff(order) < 0):
         lost.append("strands were put in the order of their objects")
+    if groom.up != DEFAULT_UP:
+        lost.append(f"{groom.up} stays up, but an OBJ file cannot say so: most programs will take {DEFAULT_UP}")
     lost += [f"attribute {name!r} was not kept: OBJ lines hold none" for name in objects.other_attributes(groom)]
     with np.errstate(over="ignore"):
         points = ordered.points.astype(np.float32)
@@ -117,6 +129,7 @@ def write(groom: Groom, path: Path) -> list[str]:
 
 
 def _prepared(text: bytes) -> bytes:
+    text = text.removeprefix(UTF8_MARK)
     if b"\n" not in text:
         text = text.replace(b"\r", b"\n")
     if b"#" in text:

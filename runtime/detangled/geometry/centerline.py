@@ -8,19 +8,25 @@ Hairstyle Generation"); the optimisation makes all points of the strand equally 
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from detangled.geometry.canonical import guide_frames, phi
+from detangled.geometry.inputs import compiled_input
 from detangled.geometry.spline import (
     chord_lengths,
+    distinct_points,
     spline_sample,
     spline_slopes,
+    uniform_grid,
 )
 from detangled.kernels import kernel, parallel_kernel, prange
 
 SAMPLES_PER_SEGMENT = 2
 FEWEST_SAMPLES = 64
 ENOUGH_SAMPLES = 512
+# The axis is smooth: it needs no more samples than this, and more would only slow the optimiser and spoil the
+# condition of its equations.
+SAMPLES_PER_TURN = 12
 FEWEST_FREQUENCIES, MOST_FREQUENCIES = 3, 8
 # Below so many swings about its lowest frequencies a strand has no curl to take away, and neither has one that
 # swings too weakly for its number of turns (sine squared of the helix' angle, times turns squared): those bends are
@@ -29,12 +35,20 @@ FEWEST_FREQUENCIES, MOST_FREQUENCIES = 3, 8
 FEWEST_TURNS = 2.5
 LEAST_CURL = 2.0
 EXTENSION = 0.1  # of the points, duplicated and reflected beyond each end
+STRAIGHT = 1e-6  # second differences this small beside the first leave an end no normal
 
 # Weights of the regularisers beside the spread of the distances. Lengths are measured in turns / 2 pi.
 WEIGHT_ADJACENT = 1.0
 WEIGHT_DISPLACEMENT = 1e-2
 WEIGHT_CURVATURE = 5.0
 MOST_ITERATIONS = 40
+# Steps this small beside the mean distance, or gains this small beside the objective, end the optimisation.
+SMALL_STEP = 1e-3
+SMALL_GAIN = 1e-4
+TOUCHING = 1e-9  # of the mean distance: the axis runs through the strand there
+FIRST_DAMPING = 1e-6
+LEAST_DAMPING = 1e-2  # tried first where a step does not descend; about WEIGHT_DISPLACEMENT, or it changes nothing
+MOST_DAMPING = 1e6
 BAND = 5  # half-bandwidth of the normal equations with x and y interleaved
 
 
@@ -109,32 +123,45 @@ def _extend(canonical: NDArray[np.float64], extra: int) -> NDArray[np.float64]:
     """
     n = canonical.shape[0]
     out = np.empty((n + 2 * extra, 3))
-    out[extra : extra + n] = canonical
-    normal = np.empty(3)
-    tangent = np.empty(3)
+    for i in range(n):
+        for c in range(3):
+            out[extra + i, c] = canonical[i, c]
     for end in range(2):
         root = 0 if end == 0 else n - 1
         inward = 1 if end == 0 else -1
-        p0 = canonical[root]
-        p1 = canonical[root + inward]
-        p2 = canonical[root + 2 * inward]
-        p3 = canonical[root + 3 * inward]
-        for c in range(3):
-            tangent[c] = -11.0 * p0[c] + 18.0 * p1[c] - 9.0 * p2[c] + 2.0 * p3[c]
-            normal[c] = 2.0 * p0[c] - 5.0 * p1[c] + 4.0 * p2[c] - p3[c]
-        along = (normal * tangent).sum() / (tangent * tangent).sum()
-        across = normal - along * tangent
-        size = np.sqrt((across * across).sum())
-        straight = size <= 1e-6 * np.sqrt((tangent * tangent).sum())
+        normal = _end_normal(canonical, root, inward)
         for k in range(1, extra + 1):
-            offset = canonical[root + inward * k] - p0
-            if straight:
-                offset = -offset
-            else:
-                onto = 2.0 * (offset * across).sum() / (size * size)
-                offset = onto * across - offset
-            out[extra - k if end == 0 else extra + n - 1 + k] = p0 + offset
+            row = root - inward * k + extra
+            onto = 0.0
+            for c in range(3):
+                onto += 2.0 * normal[c] * (canonical[root + inward * k, c] - canonical[root, c])
+            for c in range(3):
+                out[row, c] = 2.0 * canonical[root, c] + onto * normal[c] - canonical[root + inward * k, c]
     return out
+
+
+@kernel
+def _end_normal(points: NDArray[np.float64], root: int, inward: int) -> tuple[float, float, float]:
+    """Unit normal of the cubic through the four points at an end; zero where it is straight there."""
+    tangent = np.empty(3)
+    normal = np.empty(3)
+    for c in range(3):
+        p0 = points[root, c]
+        p1 = points[root + inward, c]
+        p2 = points[root + 2 * inward, c]
+        p3 = points[root + 3 * inward, c]
+        tangent[c] = -11.0 * p0 + 18.0 * p1 - 9.0 * p2 + 2.0 * p3
+        normal[c] = 2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3
+    along = tangent[0] * normal[0] + tangent[1] * normal[1] + tangent[2] * normal[2]
+    size2 = tangent[0] ** 2 + tangent[1] ** 2 + tangent[2] ** 2
+    across2 = 0.0
+    for c in range(3):
+        normal[c] -= tangent[c] * along / size2
+        across2 += normal[c] ** 2
+    if not across2 > STRAIGHT * STRAIGHT * size2:
+        return 0.0, 0.0, 0.0
+    size = np.sqrt(across2)
+    return normal[0] / size, normal[1] / size, normal[2] / size
 
 
 @kernel
@@ -171,21 +198,26 @@ def _solve_band(band: NDArray[np.float64], right: NDArray[np.float64]) -> bool:
 
 
 @kernel
-def _objective(
-    axis: NDArray[np.float64], strand: NDArray[np.float64], unit: float, weights: NDArray[np.float64]
-) -> float:
-    """The paper's objective and its three regularisers for an axis (n, 2) of a strand (n, 3); see ``optimise``."""
+def _distances(axis: NDArray[np.float64], strand: NDArray[np.float64], r: NDArray[np.float64]) -> float:
+    """Fill r (n,) with the distances between an axis (n, 2) and a strand (n, 3) at each height; return their mean."""
     n = axis.shape[0]
-    r = np.empty(n)
+    total = 0.0
     for i in range(n):
         r[i] = np.sqrt((axis[i, 0] - strand[i, 0]) ** 2 + (axis[i, 1] - strand[i, 1]) ** 2)
-    mean = r.mean()
-    adjacent = weights[0] * unit * unit
-    curvature = weights[2] * unit**4
+        total += r[i]
+    return total / n
+
+
+@kernel
+def objective(axis: NDArray[np.float64], r: NDArray[np.float64], mean: float, unit: float) -> float:
+    """What ``optimise`` minimises, for an axis (n, 2) and its distances r (n,) of a known mean."""
+    n = axis.shape[0]
+    adjacent = WEIGHT_ADJACENT * unit**2
+    curvature = WEIGHT_CURVATURE * unit**4
     total = 0.0
     for i in range(n):
         total += (r[i] - mean) ** 2
-        total += weights[1] * (axis[i, 0] ** 2 + axis[i, 1] ** 2)
+        total += WEIGHT_DISPLACEMENT * (axis[i, 0] ** 2 + axis[i, 1] ** 2)
         if i > 0:
             total += adjacent * (r[i] - r[i - 1]) ** 2
         if 0 < i < n - 1:
@@ -195,157 +227,211 @@ def _objective(
 
 
 @kernel
-def optimise(strand: NDArray[np.float64], unit: float, weights: NDArray[np.float64]) -> NDArray[np.float64]:
+def _directions(
+    axis: NDArray[np.float64], strand: NDArray[np.float64], r: NDArray[np.float64], mean: float, u: NDArray[np.float64]
+) -> None:
+    """Fill u (n, 2) with the derivatives of the distances: unit vectors from the strand to the axis."""
+    n = axis.shape[0]
+    for i in range(n):
+        if r[i] > TOUCHING * mean:
+            for c in range(2):
+                u[i, c] = (axis[i, c] - strand[i, c]) / r[i]
+        else:
+            # The axis touches the strand: it should leave towards the inside of the bend.
+            a = max(i - 1, 0)
+            b = min(i + 1, n - 1)
+            x = strand[a, 0] + strand[b, 0] - 2.0 * strand[i, 0]
+            y = strand[a, 1] + strand[b, 1] - 2.0 * strand[i, 1]
+            size = np.sqrt(x * x + y * y)
+            u[i, 0] = x / size if size > 0.0 else 0.0
+            u[i, 1] = y / size if size > 0.0 else 0.0
+
+
+@kernel
+def _normal_equations(
+    axis: NDArray[np.float64],
+    r: NDArray[np.float64],
+    mean: float,
+    u: NDArray[np.float64],
+    unit: float,
+    damping: float,
+    band: NDArray[np.float64],
+    right: NDArray[np.float64],
+) -> None:
+    """Fill the Gauss-Newton matrix (2n, BAND + 1) and, in column 0 of ``right`` (2n, 2), the descent direction.
+
+    The mean distance is held there; column 1 holds its coupling to the unknowns.
+    """
+    n = axis.shape[0]
+    adjacent = WEIGHT_ADJACENT * unit**2
+    curvature = WEIGHT_CURVATURE * unit**4
+    band[:] = 0.0
+    for i in range(n):
+        for c in range(2):
+            right[2 * i + c, 0] = -u[i, c] * (r[i] - mean) - WEIGHT_DISPLACEMENT * axis[i, c]
+            right[2 * i + c, 1] = u[i, c]
+        # Each difference of distances weighs on its own point and, at i > 0, on the one before.
+        share = 1.0 + adjacent * ((1.0 if i > 0 else 0.0) + (1.0 if i < n - 1 else 0.0))
+        band[2 * i, 0] = share * u[i, 0] * u[i, 0] + WEIGHT_DISPLACEMENT + damping
+        band[2 * i + 1, 0] = share * u[i, 1] * u[i, 1] + WEIGHT_DISPLACEMENT + damping
+        band[2 * i + 1, 1] = share * u[i, 0] * u[i, 1]
+        if i > 0:
+            for c in range(2):
+                step = adjacent * (r[i] - r[i - 1])
+                right[2 * i + c, 0] -= step * u[i, c]
+                right[2 * i - 2 + c, 0] += step * u[i - 1, c]
+                for d in range(2):
+                    band[2 * i + c, 2 + c - d] = -adjacent * u[i, c] * u[i - 1, d]
+    for i in range(1, n - 1):
+        for c in range(2):
+            bend = curvature * (axis[i + 1, c] - 2.0 * axis[i, c] + axis[i - 1, c])
+            right[2 * i + 2 + c, 0] -= bend
+            right[2 * i + c, 0] += 2.0 * bend
+            right[2 * i - 2 + c, 0] -= bend
+            band[2 * i + 2 + c, 0] += curvature
+            band[2 * i + c, 0] += 4.0 * curvature
+            band[2 * i - 2 + c, 0] += curvature
+            band[2 * i + 2 + c, 2] -= 2.0 * curvature
+            band[2 * i + c, 2] -= 2.0 * curvature
+            band[2 * i + 2 + c, 4] += curvature
+
+
+@kernel
+def optimise(strand: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
     """Axis (n, 2) [cm] that a canonical strand (n, 3) winds around at an even distance, each point at its own height.
 
-    Minimises 1/2 sum (r_i - mean r)^2, plus weights (3,) times: the steps of r between neighbours, the spread of the
-    displacement from the z-axis, and the axis' curvature, over lengths measured in ``unit``, samples per radian of
-    a turn. Gauss-Newton on the banded normal equations; the three means are unknowns of their own, eliminated by
-    the bordered system; Levenberg's damping where a step would not descend.
+    Minimises half the sum of (r_i - mean r)^2, of the weighted squares of the steps of r between neighbours, of the
+    displacement from the z-axis, and of the axis' second differences, over lengths measured in ``unit``, samples
+    per radian of a turn. Gauss-Newton on the banded normal equations; the mean distance moves along as one more
+    unknown, eliminated by its Schur complement; Levenberg's damping where a step would not descend.
     """
     n = strand.shape[0]
     axis = np.zeros((n, 2))
-    adjacent = weights[0] * unit * unit
-    displacement = weights[1]
-    curvature = weights[2] * unit**4
+    trial = np.empty((n, 2))
     r = np.empty(n)
+    trial_r = np.empty(n)
     u = np.empty((n, 2))
     band = np.empty((2 * n, BAND + 1))
     right = np.empty((2 * n, 2))
-    trial = np.empty((n, 2))
-    damping = 1e-6
-    value = _objective(axis, strand, unit, weights)
+    damping = FIRST_DAMPING
+    mean = _distances(axis, strand, r)
+    value = objective(axis, r, mean, unit)
     for _ in range(MOST_ITERATIONS):
-        for i in range(n):
-            dx = axis[i, 0] - strand[i, 0]
-            dy = axis[i, 1] - strand[i, 1]
-            r[i] = np.sqrt(dx * dx + dy * dy)
-            if r[i] > 1e-12:
-                u[i, 0] = dx / r[i]
-                u[i, 1] = dy / r[i]
-            else:
-                # The axis touches the strand: it should leave towards the inside of the bend.
-                a = max(i - 1, 0)
-                b = min(i + 1, n - 1)
-                bx = strand[a, 0] + strand[b, 0] - 2.0 * strand[i, 0]
-                by = strand[a, 1] + strand[b, 1] - 2.0 * strand[i, 1]
-                size = np.sqrt(bx * bx + by * by) + 1e-30
-                u[i, 0] = bx / size
-                u[i, 1] = by / size
-        mean = r.mean()
-        band[:] = 0.0
-        right[:] = 0.0
-        for i in range(n):
-            for c in range(2):
-                right[2 * i + c, 0] -= u[i, c] * (r[i] - mean) + displacement * axis[i, c]
-                right[2 * i + c, 1] = u[i, c]
-                band[2 * i + c, 0] += displacement + damping
-            band[2 * i, 0] += u[i, 0] * u[i, 0]
-            band[2 * i + 1, 0] += u[i, 1] * u[i, 1]
-            band[2 * i + 1, 1] += u[i, 0] * u[i, 1]
-            if i > 0:
-                step = adjacent * (r[i] - r[i - 1])
+        _directions(axis, strand, r, mean, u)
+        _normal_equations(axis, r, mean, u, unit, damping, band, right)
+        descends = False
+        largest = np.inf
+        if _solve_band(band, right):
+            top = 0.0
+            bottom = float(n)
+            for i in range(n):
                 for c in range(2):
-                    right[2 * i + c, 0] -= step * u[i, c]
-                    right[2 * i - 2 + c, 0] += step * u[i - 1, c]
-                    band[2 * i + c, 0] += adjacent * u[i, c] * u[i, c]
-                    band[2 * i - 2 + c, 0] += adjacent * u[i - 1, c] * u[i - 1, c]
-                    for d in range(2):
-                        band[2 * i + c, 2 + c - d] -= adjacent * u[i, c] * u[i - 1, d]
-                band[2 * i + 1, 1] += adjacent * u[i, 0] * u[i, 1]
-                band[2 * i - 1, 1] += adjacent * u[i - 1, 0] * u[i - 1, 1]
-            if 0 < i < n - 1:
+                    top += u[i, c] * right[2 * i + c, 0]
+                    bottom -= u[i, c] * right[2 * i + c, 1]
+            mean_move = top / max(bottom, 1e-9 * n)
+            largest = 0.0
+            for i in range(n):
                 for c in range(2):
-                    bend = curvature * (axis[i + 1, c] - 2.0 * axis[i, c] + axis[i - 1, c])
-                    right[2 * i + 2 + c, 0] -= bend
-                    right[2 * i + c, 0] += 2.0 * bend
-                    right[2 * i - 2 + c, 0] -= bend
-                    band[2 * i + 2 + c, 0] += curvature
-                    band[2 * i + c, 0] += 4.0 * curvature
-                    band[2 * i - 2 + c, 0] += curvature
-                    band[2 * i + 2 + c, 2] -= 2.0 * curvature
-                    band[2 * i + c, 2] -= 2.0 * curvature
-                    band[2 * i + 2 + c, 4] += curvature
-        if not _solve_band(band, right):
-            damping = max(10.0 * damping, 1e-6)
-            continue
-        # The mean moves along with the axis: one more unknown, eliminated by its Schur complement.
-        top = 0.0
-        bottom = float(n)
-        for i in range(n):
-            for c in range(2):
-                top += u[i, c] * right[2 * i + c, 0]
-                bottom -= u[i, c] * right[2 * i + c, 1]
-        mean_move = top / max(bottom, 1e-9 * n)
-        largest = 0.0
-        for i in range(n):
-            for c in range(2):
-                move = right[2 * i + c, 0] + mean_move * right[2 * i + c, 1]
-                trial[i, c] = axis[i, c] + move
-                largest = max(largest, abs(move))
-        trial_value = _objective(trial, strand, unit, weights)
-        if trial_value <= value:
-            axis[:] = trial
-            done = largest <= 1e-3 * mean or value - trial_value <= 1e-4 * value
-            value = trial_value
-            damping *= 0.1
-            if done:
+                    move = right[2 * i + c, 0] + mean_move * right[2 * i + c, 1]
+                    trial[i, c] = axis[i, c] + move
+                    largest = max(largest, abs(move))
+            mean_there = _distances(trial, strand, trial_r)
+            there = objective(trial, trial_r, mean_there, unit)
+            descends = there <= value
+            if descends:
+                gain = value - there
+                axis, trial = trial, axis
+                r, trial_r = trial_r, r
+                mean = mean_there
+                value = there
+                if gain <= SMALL_GAIN * value:
+                    break
+                damping *= 0.1
+        if largest <= SMALL_STEP * mean:
+            break
+        if not descends:
+            damping = max(10.0 * damping, LEAST_DAMPING)
+            if damping > MOST_DAMPING:
                 break
-        else:
-            if damping > 1e6:
-                break
-            damping = max(10.0 * damping, 1e-3)
     return axis
 
 
 @kernel
-def centerline(
-    points: NDArray[np.float64], weights: NDArray[np.float64], passes: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """World-space centreline (n, 3) of a strand (n, 3) of distinct points, and its rough start."""
-    n = points.shape[0]
-    if n < 3:
-        return points.copy(), points.copy()
-    t = chord_lengths(points)
-    segments = n - 1
+def _centerline(points: NDArray[np.float64], out: NDArray[np.float64], rough: NDArray[np.float64]) -> None:
+    """Fill ``out`` (n, 3) with the world-space centreline of a strand (n, 3), and ``rough`` (n, 3) with its start.
+
+    A strand without curl, or of fewer than three distinct points, is its own centreline.
+    """
+    for i in range(points.shape[0]):
+        for c in range(3):
+            out[i, c] = points[i, c]
+            rough[i, c] = points[i, c]
+    knots = distinct_points(points)
+    if knots.shape[0] < 3:
+        return
+    at = chord_lengths(points)
+    t = chord_lengths(knots)
+    slopes = spline_slopes(t, knots)
+    segments = knots.shape[0] - 1
     m = max(FEWEST_SAMPLES, min(SAMPLES_PER_SEGMENT * segments, max(ENOUGH_SAMPLES, segments)))
-    grid = np.arange(m + 1) * (t[n - 1] / m)
-    dense = spline_sample(t, points, spline_slopes(t, points), grid)
+    grid = uniform_grid(t[-1], m)
+    dense = spline_sample(t, knots, slopes, grid)
     guide = dct_centerline(dense, FEWEST_FREQUENCIES)
     turns, curl = curl_turns(dense, guide)
-    if turns < FEWEST_TURNS or curl * turns * turns < LEAST_CURL:
-        return points.copy(), spline_sample(grid, guide, spline_slopes(grid, guide), t)
-    frequencies = int(min(max(np.round(turns), FEWEST_FREQUENCIES), MOST_FREQUENCIES))
-    if frequencies > FEWEST_FREQUENCIES:
-        guide = dct_centerline(dense, frequencies)
-    start = spline_sample(grid, guide, spline_slopes(grid, guide), t)
-    unit = m / (2.0 * np.pi * turns)
-    extra = max(4, int(EXTENSION * m))
-    for _ in range(passes):
-        canonical = phi(dense, guide)
-        extended = _extend(canonical, extra)
-        axis = optimise(extended, unit, weights)
-        rotation = guide_frames(guide)
-        moved = np.empty_like(guide)
-        for i in range(m + 1):
-            x = axis[extra + i, 0]
-            y = axis[extra + i, 1]
-            for c in range(3):
-                moved[i, c] = guide[i, c] + rotation[i, 0, c] * x + rotation[i, 1, c] * y
-        guide = moved
-    return spline_sample(grid, guide, spline_slopes(grid, guide), t), start
+    if not (turns >= FEWEST_TURNS and curl * turns * turns >= LEAST_CURL):
+        _interpolate(grid, guide, at, rough)
+        return
+    enough = max(FEWEST_SAMPLES, int(SAMPLES_PER_TURN * turns))
+    if enough < m:
+        m = enough
+        grid = uniform_grid(t[-1], m)
+        dense = spline_sample(t, knots, slopes, grid)
+    frequencies = min(max(np.round(turns), FEWEST_FREQUENCIES), MOST_FREQUENCIES)
+    guide = dct_centerline(dense, int(frequencies))
+    _interpolate(grid, guide, at, rough)
+    extra = int(EXTENSION * m)
+    axis = optimise(_extend(phi(dense, guide), extra), m / (2.0 * np.pi * turns))
+    rotation = guide_frames(guide)
+    for i in range(m + 1):
+        x = axis[extra + i, 0]
+        y = axis[extra + i, 1]
+        for c in range(3):
+            guide[i, c] += rotation[i, 0, c] * x + rotation[i, 1, c] * y
+    _interpolate(grid, guide, at, out)
+
+
+@kernel
+def _interpolate(
+    grid: NDArray[np.float64], guide: NDArray[np.float64], at: NDArray[np.float64], out: NDArray[np.float64]
+) -> None:
+    """Fill ``out`` (n, 3) with the spline through a guide on a grid, at parameters ``at`` (n,)."""
+    values = spline_sample(grid, guide, spline_slopes(grid, guide), at)
+    for i in range(at.shape[0]):
+        for c in range(3):
+            out[i, c] = values[i, c]
 
 
 @parallel_kernel
-def centerlines(
-    points: NDArray[np.float64], offsets: NDArray[np.int64], weights: NDArray[np.float64], passes: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Centrelines (P, 3) of all strands, and their rough starts (P, 3)."""
-    out = points.copy()
-    start = points.copy()
+def _centerlines(
+    points: NDArray[np.float64],
+    offsets: NDArray[np.int64],
+    guides: NDArray[np.float64],
+    starts: NDArray[np.float64],
+) -> None:
     for s in prange(offsets.shape[0] - 1):
         a = offsets[s]
         b = offsets[s + 1]
-        if b - a >= 3:
-            out[a:b], start[a:b] = centerline(points[a:b], weights, passes)
-    return out, start
+        _centerline(points[a:b], guides[a:b], starts[a:b])
+
+
+def centerlines(points: ArrayLike, offsets: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Centrelines (P, 3) [cm] of all strands, and their rough starts (P, 3) from the lowest frequencies alone.
+
+    points: (P, 3), strand s in rows offsets[s] to offsets[s + 1]. A strand without curl, of fewer than three
+    distinct points, or with a coordinate that is not finite is its own centreline.
+    """
+    points = compiled_input(points, np.float64)
+    guides = np.empty(points.shape)
+    starts = np.empty(points.shape)
+    _centerlines(points, compiled_input(offsets, np.int64), guides, starts)
+    return guides, starts

@@ -7,15 +7,17 @@ smoothing before sampling, so a twist narrower than a cell keeps its angle.
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
-from detangled.geometry.frenet import frames, integrate, lift_tiny, twist_angle
+from detangled.geometry.frenet import bend_angle, frames, integrate, lift_tiny, twist_angle
+from detangled.geometry.inputs import compiled_input
 from detangled.geometry.smoothing import smooth_channels
 from detangled.geometry.spline import (
     chord_lengths,
     distinct_points,
     spline_sample,
     spline_slopes,
+    uniform_grid,
     uniform_slopes,
 )
 from detangled.kernels import kernel, parallel_kernel, prange
@@ -27,33 +29,34 @@ ENOUGH_SAMPLES = 1024
 # The smoothing may blur a sample as much as the mean over a cell does: that is the deviation of a box one cell wide.
 # Unbounded, it moves the rebuilt strand several times as far from the strand (benchmarks/fidelity.py).
 MOST_BLUR_CELLS = 1.0 / 12.0**0.5
+# Coordinates rounded to float32 (6e-8 of their size, which may be several times the strand's length) bend a straight
+# strand of n points by some n^2 times this [rad]: less bend than that says nothing of the normal. The cap leaves the
+# normals of finely sampled strands that bend on purpose.
+ROUNDING_BEND = 2e-6
+MOST_ROUNDING_BEND = 0.25
 MOST_TURN = 0.35  # [rad] in one step of integration: the local error of RK4 is then below 1e-4 rad
+MOST_SUBSTEPS = 64
 
 
 @kernel
-def dense_count(points: int) -> int:
-    """Number of intervals of the dense grid for a strand of so many points."""
+def dense_count(points: int, cells: int) -> int:
+    """Number of intervals of the dense grid for a strand of so many points, fine enough for so many cells."""
     segments = points - 1
-    return max(FEWEST_SAMPLES, min(SAMPLES_PER_SEGMENT * segments, max(ENOUGH_SAMPLES, 2 * segments)))
+    wanted = max(FEWEST_SAMPLES, min(SAMPLES_PER_SEGMENT * segments, max(ENOUGH_SAMPLES, 2 * segments)))
+    return max(wanted, 2 * cells)
 
 
 @kernel
-def dense_signal(
-    points: NDArray[np.float64], cells: int
-) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.float64], float]:
-    """kappa, tau [1/cm] and speed (m + 1,) of one strand (n, 3) of distinct points, on a uniform grid of its length.
+def derivatives(
+    points: NDArray[np.float64], samples: int, most_blur: float
+) -> tuple[NDArray[np.float64], NDArray[np.float64], float]:
+    """Smoothed gamma' and gamma'' (samples + 1, 3) of a strand (n, 3) of distinct points, and their distance [cm].
 
-    Speed is arc length per polyline length; the last value returned is the polyline's length [cm]. The grid is fine
-    enough for means over ``cells`` cells. tau is the angle by which the normal turns about the tangent carried
-    along, between the neighbours of a sample: the numerical derivative that the paper allows in place of the third,
-    which keeps the angles and rebuilds the strand more closely.
+    The grid is uniform over the polyline's length; most_blur is in samples (``smooth_channels``).
     """
     t = chord_lengths(points)
-    length = t[-1]
-    m = max(dense_count(points.shape[0]), 2 * cells)
-    step = length / m
-    most_blur = MOST_BLUR_CELLS * m / cells
-    curve = spline_sample(t, points, spline_slopes(t, points), np.arange(m + 1) * step)
+    step = t[-1] / samples
+    curve = spline_sample(t, points, spline_slopes(t, points), uniform_grid(t[-1], samples))
     smooth_channels(curve, step, most_blur)
     first = uniform_slopes(curve, step)
     lift_tiny(first)
@@ -61,71 +64,90 @@ def dense_signal(
     second = uniform_slopes(first, step)
     lift_tiny(second)
     smooth_channels(second, step, most_blur)
-    tangent, normal, _ = frames(first, second)
-    kappa = np.empty(m + 1)
-    tau = np.empty(m + 1)
-    speed = np.empty(m + 1)
-    for i in range(m + 1):
-        speed2 = 0.0
-        bend = 0.0
-        for c in range(3):
-            speed2 += first[i, c] ** 2
-            bend += second[i, c] * normal[i, c]
-        speed[i] = np.sqrt(speed2)
-        kappa[i] = max(bend, 0.0) / speed2
-        low = max(i - 1, 0)
-        high = min(i + 1, m)
-        tau[i] = twist_angle(tangent, normal, low, high) / ((high - low) * step * speed[i])
-    return kappa, tau, speed, length
+    return first, second, step
 
 
 @kernel
-def cell_means(
-    kappa: NDArray[np.float64],
-    tau: NDArray[np.float64],
-    speed: NDArray[np.float64],
-    length: float,
-    cells: int,
+def cumulated(
+    first: NDArray[np.float64], second: NDArray[np.float64], step: float, per_segment: float, least_bend: float
 ) -> NDArray[np.float64]:
-    """Means (cells, 3) of a dense signal over each cell; kappa and tau by arc length, v in cm per unit of t."""
-    m = kappa.shape[0] - 1
-    total = np.zeros((m + 1, 3))  # angle of bending, angle of torsion, arc length, summed up from the root
+    """Angle of bending, angle of torsion [rad] and arc length [cm] from the root to each sample, (m, 3).
+
+    The integrals of kappa, tau and 1 over arc length. Each interval adds the angle between its two tangents, and
+    the angle about them between its two normals: the numerical differentiation of T and N that the paper allows.
+    It keeps angles whole however narrow the event, stays finite where the speed vanishes, and rebuilds the strand
+    more closely than gamma'' and gamma''' do (benchmarks/fidelity.py).
+    """
+    tangent, normal, _ = frames(first, second, step, per_segment, least_bend)
+    m = first.shape[0]
+    total = np.zeros((m, 3))
+    before = 0.0
     for i in range(m):
-        total[i + 1, 0] = total[i, 0] + 0.5 * (kappa[i] * speed[i] + kappa[i + 1] * speed[i + 1])
-        total[i + 1, 1] = total[i, 1] + 0.5 * (tau[i] * speed[i] + tau[i + 1] * speed[i + 1])
-        total[i + 1, 2] = total[i, 2] + 0.5 * (speed[i] + speed[i + 1])
-    out = np.empty((cells, 3))
-    before = np.zeros(3)
+        speed = np.sqrt(first[i, 0] ** 2 + first[i, 1] ** 2 + first[i, 2] ** 2)
+        if i > 0:
+            total[i, 0] = total[i - 1, 0] + bend_angle(tangent, i - 1)
+            total[i, 1] = total[i - 1, 1] + twist_angle(tangent, normal, i - 1)
+            total[i, 2] = total[i - 1, 2] + 0.5 * (before + speed) * step
+        before = speed
+    return total
+
+
+@kernel
+def cell_means(total: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill ``out`` (L, 3) with kappa, tau and v of L equal cells, from their integrals (m + 1, 3) on a finer grid."""
+    cells = out.shape[0]
+    m = total.shape[0] - 1
+    # A cell that the strand crosses in no time (it folds back on itself there) keeps its angles.
+    least_arc = 1e-9 * total[m, 2] / cells
+    before = np.empty(3)
     here = np.zeros(3)
     for j in range(cells):
         at = (j + 1) * m / cells
         i = min(int(at), m - 1)
         for c in range(3):
+            before[c] = here[c]
             here[c] = total[i, c] + (at - i) * (total[i + 1, c] - total[i, c])
-        arc = here[2] - before[2]
+        arc = max(here[2] - before[2], least_arc)
         out[j, 0] = (here[0] - before[0]) / arc
         out[j, 1] = (here[1] - before[1]) / arc
-        out[j, 2] = arc * cells * length / m
-        before[:] = here
-    return out
+        out[j, 2] = arc * cells
+
+
+@kernel
+def _signal(points: NDArray[np.float64], out: NDArray[np.float64]) -> None:
+    """Fill ``out`` (L, 3) with kappa, tau, v of one strand (n, 3); leave it where the strand has no length."""
+    strand = distinct_points(points)
+    n = strand.shape[0]
+    cells = out.shape[0]
+    if n < 2 or cells == 0:
+        return
+    samples = dense_count(n, cells)
+    first, second, step = derivatives(strand, samples, MOST_BLUR_CELLS * samples / cells)
+    least_bend = min(ROUNDING_BEND * n * n, MOST_ROUNDING_BEND)
+    cell_means(cumulated(first, second, step, samples / (n - 1), least_bend), out)
 
 
 @parallel_kernel
-def signals(
-    points: NDArray[np.float64], offsets: NDArray[np.int64], cell_offsets: NDArray[np.int64]
-) -> NDArray[np.float64]:
+def _signals(
+    points: NDArray[np.float64],
+    offsets: NDArray[np.int64],
+    cell_offsets: NDArray[np.int64],
+    out: NDArray[np.float64],
+) -> None:
+    for s in prange(offsets.shape[0] - 1):
+        _signal(points[offsets[s] : offsets[s + 1]], out[cell_offsets[s] : cell_offsets[s + 1]])
+
+
+def signals(points: ArrayLike, offsets: ArrayLike, cell_offsets: ArrayLike) -> NDArray[np.float64]:
     """kappa, tau, v of all strands, (C, 3) with strand s in rows cell_offsets[s] to cell_offsets[s + 1].
 
-    kappa, tau in 1/cm; v in cm per unit of t, with t from 0 to 1 along the strand, so the mean of v is its arc
-    length. A strand of fewer than two distinct points gets zeros.
+    points: (P, 3) [cm], strand s in rows offsets[s] to offsets[s + 1]. kappa, tau in 1/cm; v in cm per unit of t,
+    with t from 0 to 1 along the strand's polyline, so the mean of v is the strand's arc length. A strand of fewer
+    than two distinct points, or with a coordinate that is not finite, gets zeros.
     """
-    out = np.zeros((cell_offsets[-1], 3))
-    for s in prange(offsets.shape[0] - 1):
-        strand = distinct_points(points[offsets[s] : offsets[s + 1]])
-        cells = cell_offsets[s + 1] - cell_offsets[s]
-        if strand.shape[0] >= 2 and cells > 0:
-            kappa, tau, speed, length = dense_signal(strand, cells)
-            out[cell_offsets[s] : cell_offsets[s + 1]] = cell_means(kappa, tau, speed, length, cells)
+    cells = compiled_input(cell_offsets, np.int64)
+    out = np.zeros((cells[-1], 3))
+    _signals(compiled_input(points, np.float64), compiled_input(offsets, np.int64), cells, out)
     return out
 
 
@@ -136,10 +158,29 @@ def substeps_for(signal: NDArray[np.float64]) -> int:
     most = 0.0
     for i in range(cells):
         most = max(most, np.sqrt(signal[i, 0] ** 2 + signal[i, 1] ** 2) * signal[i, 2] / cells)
-    return int(min(max(np.ceil(most / MOST_TURN), 2), 64))
+    return int(max(np.ceil(min(most / MOST_TURN, MOST_SUBSTEPS)), 2))
 
 
 @kernel
 def curve_of(signal: NDArray[np.float64]) -> NDArray[np.float64]:
     """The curve (L * substeps + 1, 3) [cm] of a signal (L, 3), from the origin, starting along -z."""
-    return integrate(signal[:, 0], signal[:, 1], signal[:, 2], substeps_for(signal))
+    return integrate(signal, substeps_for(signal))
+
+
+@parallel_kernel
+def curve_counts(values: NDArray[np.float64], starts: NDArray[np.int64]) -> NDArray[np.int64]:
+    """Points (S,) of the curve that ``curve_of`` makes of each signal."""
+    out = np.empty(starts.shape[0] - 1, dtype=np.int64)
+    for s in prange(starts.shape[0] - 1):
+        signal = values[starts[s] : starts[s + 1]]
+        out[s] = signal.shape[0] * substeps_for(signal) + 1
+    return out
+
+
+@parallel_kernel
+def curves(values: NDArray[np.float64], starts: NDArray[np.int64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Curves (P, 3) [cm] of signals (C, 3); ``offsets`` are the cumulated ``curve_counts``."""
+    out = np.empty((offsets[-1], 3))
+    for s in prange(starts.shape[0] - 1):
+        out[offsets[s] : offsets[s + 1]] = curve_of(values[starts[s] : starts[s + 1]])
+    return out

@@ -23,11 +23,12 @@ RELATIVE_TOLERANCE = 1e-6
 MOST_ROUNDS = 2000
 NARROWEST_KERNEL = 0.75  # standard deviations of the Gaussian, in samples
 WIDEST_KERNEL = 6.0
+NEARLY_ALL = 0.99  # of the blur spent: what is left would change nothing
 
 
 @kernel
-def _edges(values: NDArray[np.float64], c: int, step: float, edges: NDArray[np.float64]) -> float:
-    """Fill ``edges`` (m - 1,) of channel c and return the length from which an edge offends."""
+def _edges(values: NDArray[np.float64], c: int, step: float, edges: NDArray[np.float64]) -> tuple[float, float]:
+    """Fill ``edges`` (m - 1,) of channel c; return the length from which an edge offends, and the mean length."""
     count = edges.shape[0]
     total = 0.0
     for i in range(count):
@@ -39,7 +40,7 @@ def _edges(values: NDArray[np.float64], c: int, step: float, edges: NDArray[np.f
     for i in range(count):
         variance += (edges[i] - mean) ** 2
     deviation = np.sqrt(variance / count)
-    return mean + max(OFFENCE_DEVIATIONS * deviation, RELATIVE_TOLERANCE * mean)
+    return mean + max(OFFENCE_DEVIATIONS * deviation, RELATIVE_TOLERANCE * mean), mean
 
 
 @kernel
@@ -55,24 +56,24 @@ def smooth_channels(values: NDArray[np.float64], step: float, most_blur: float) 
     width = np.zeros(m)
     spent = np.empty(m)
     old = np.empty(m)
+    most = most_blur * most_blur
     left = 0
     for c in range(channels):
         spent[:] = 0.0
         for round_ in range(MOST_ROUNDS + 1):
-            limit = _edges(values, c, step, edges)
-            mean = edges.mean()
-            width[:] = 0.0
+            limit, mean = _edges(values, c, step, edges)
             offending = 0
             spendable = False
             for i in range(m - 1):
                 if edges[i] >= limit:
+                    if offending == 0:
+                        width[:] = 0.0
                     offending += 1
                     wide = min(max(edges[i] / mean, NARROWEST_KERNEL), WIDEST_KERNEL)
                     reach = int(np.ceil(2.0 * wide))
                     for j in range(max(1, i - reach), min(m - 1, i + reach + 2)):
-                        room = most_blur * most_blur - spent[j]
-                        if spent[j] < 0.99 * most_blur * most_blur or most_blur == np.inf:
-                            width[j] = max(width[j], min(wide, np.sqrt(room)))
+                        if spent[j] < NEARLY_ALL * most:
+                            width[j] = max(width[j], min(wide, np.sqrt(most - spent[j])))
                             spendable = True
             if not spendable or round_ == MOST_ROUNDS:
                 left += offending

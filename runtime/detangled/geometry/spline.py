@@ -11,6 +11,8 @@ from numpy.typing import NDArray
 
 from detangled.kernels import kernel
 
+NEAREST = 1e-9  # of a strand's length: nearer points are one, whatever their rounding says
+
 
 @kernel
 def chord_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -23,6 +25,15 @@ def chord_lengths(points: NDArray[np.float64]) -> NDArray[np.float64]:
         dz = points[i, 2] - points[i - 1, 2]
         t[i] = t[i - 1] + np.sqrt(dx * dx + dy * dy + dz * dz)
     return t
+
+
+@kernel
+def uniform_grid(length: float, intervals: int) -> NDArray[np.float64]:
+    """Parameters (intervals + 1,) from 0 to ``length`` at even distances."""
+    grid = np.empty(intervals + 1)
+    for i in range(intervals + 1):
+        grid[i] = i * (length / intervals)
+    return grid
 
 
 @kernel
@@ -142,10 +153,13 @@ def uniform_slopes(values: NDArray[np.float64], step: float) -> NDArray[np.float
 def distinct_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """The points (k, 3) without those that lie on the one before: a doubled point has no direction.
 
-    Points nearer than 1e-9 of the strand's length count as the same.
+    Points nearer than NEAREST of the strand's length count as the same. A strand whose length is not a finite
+    number has no points to speak of.
     """
     n = points.shape[0]
     length = chord_lengths(points)[n - 1] if n > 0 else 0.0
+    if not length < np.inf:
+        return np.empty((0, 3))
     kept = np.empty((n, 3))
     k = 0
     for i in range(n):
@@ -153,8 +167,13 @@ def distinct_points(points: NDArray[np.float64]) -> NDArray[np.float64]:
             gap = 0.0
             for c in range(3):
                 gap += (points[i, c] - kept[k - 1, c]) ** 2
-            if np.sqrt(gap) <= 1e-9 * length:
+            if np.sqrt(gap) <= NEAREST * length:
                 continue
-        kept[k] = points[i]
+        for c in range(3):
+            kept[k, c] = points[i, c]
         k += 1
-    return kept[:k].copy()
+    out = np.empty((k, 3))
+    for i in range(k):
+        for c in range(3):
+            out[i, c] = kept[i, c]
+    return out

@@ -1,0 +1,42 @@
+"""detangled fit: learn a texture from a few strands once, to use it often."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import click
+
+from detangled_cli.console import announce_first_run, quiet_option, threads_option, unit_option
+
+
+@click.command()
+@click.argument("source", metavar="STRANDS", type=click.Path(path_type=Path))
+@click.argument("target", metavar="OUT.texture", type=click.Path(path_type=Path))
+@click.option(
+    "--method",
+    type=click.Choice(["patches"]),
+    default="patches",
+    show_default=True,
+    help="How to learn: patches needs no training.",
+)
+@unit_option
+@threads_option
+@quiet_option
+def command(source: Path, target: Path, method: str, unit: str | None, threads: int | None) -> None:
+    """Learn a texture from a few strands, one to some hundreds, and write it as a .texture file.
+
+    \b
+    Example:
+      detangled fit strands.obj coily.texture
+      detangled retexture groom.abc new.abc --target coily.texture
+    """
+    from detangled.errors import WriteError
+    from detangled.fitted import SUFFIX, save_texture
+    from detangled.kernels import set_threads
+    from detangled_cli.targets import fitted_texture
+
+    if target.suffix != SUFFIX:
+        raise WriteError(f"{target}: a fitted texture is written as {SUFFIX}")
+    announce_first_run()
+    set_threads(threads)
+    save_texture(fitted_texture(source, unit), target)

@@ -1,0 +1,114 @@
+"""detangled retexture: give a groom the texture of a few strands."""
+
+from __future__ import annotations
+
+import time
+from pathlib import Path
+
+import click
+
+from detangled_cli.console import (
+    UNIT,
+    announce_first_run,
+    input_argument,
+    note,
+    output_argument,
+    progress_bar,
+    quiet_option,
+    threads_option,
+    unit_option,
+    warn,
+)
+
+
+@click.command()
+@input_argument
+@output_argument
+@click.option(
+    "--target",
+    "texture_source",
+    required=True,
+    metavar="STRANDS|FITTED",
+    type=click.Path(path_type=Path),
+    help="Strands of the new texture (.abc, .obj, .npz), or a .texture made by detangled fit.",
+)
+@click.option(
+    "--method",
+    type=click.Choice(["patches"]),
+    default="patches",
+    show_default=True,
+    help="How to learn the texture: patches needs no training.",
+)
+@click.option(
+    "--length",
+    type=click.Choice(["guide", "strand"]),
+    default="guide",
+    show_default=True,
+    help="What stays: guide keeps the hairstyle's outline; strand keeps each hair's own length, so coils shrink it.",
+)
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed, the same hair.")
+@click.option("--steps", type=click.IntRange(2, 200), default=20, show_default=True, help="Steps of the sampler.")
+@click.option(
+    "--max-points",
+    type=click.IntRange(min=2),
+    metavar="N",
+    help="Most points a strand may have. Default: as many as the texture needs, 12 a turn.",
+)
+@click.option(
+    "--target-unit",
+    type=UNIT,
+    metavar="U",
+    help="Unit of the target strands, where it is not what it seems.",
+)
+@unit_option
+@threads_option
+@quiet_option
+def command(
+    source: Path,
+    target: Path,
+    texture_source: Path,
+    method: str,
+    length: str,
+    seed: int,
+    steps: int,
+    max_points: int | None,
+    target_unit: str | None,
+    unit: str | None,
+    threads: int | None,
+) -> None:
+    """Give a groom another texture, on its own style: one new strand for each of its strands.
+
+    The texture is learned from the target strands; the groom keeps its style, its strands' number, order, roots and
+    attributes.
+
+    \b
+    Example:
+      detangled retexture in.abc out.abc --target strands.obj
+      detangled retexture in.abc out.abc --target coily.texture --length strand --seed 7
+    """
+    from detangled.formats import check_writable, read, write
+    from detangled.kernels import set_threads
+    from detangled.retexture import Length, Options, retexture
+    from detangled_cli.targets import fitted_texture
+
+    began = time.perf_counter()
+    check_writable(target)
+    groom = read(source, unit=unit)
+    for sentence in groom.notes:
+        warn(f"{source}: {sentence}")
+    announce_first_run()
+    set_threads(threads)
+    texture = fitted_texture(texture_source, target_unit)
+    with progress_bar("strands", groom.strand_count) as advance:
+        result = retexture(groom, texture, Options(Length(length), seed, steps, max_points), advance)
+    for sentence in [*result.lost, *result.warnings, *write(result.groom, target)]:
+        warn(f"{target}: {sentence}")
+    if len(result.passed_through):
+        some = ", ".join(str(index) for index in result.passed_through[:5])
+        warn(
+            f"{source}: {len(result.passed_through)} strands have no two distinct finite points and pass through "
+            f"unchanged: {some}{', ...' if len(result.passed_through) > 5 else ''}"
+        )
+    note(
+        f"{target}: {result.strands} strands, {len(result.groom.points)} points, in {time.perf_counter() - began:.1f} s"
+    )

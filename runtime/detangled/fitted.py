@@ -1,0 +1,171 @@
+"""A texture fitted to a few strands, and its file (.texture).
+
+Fitting by patches is measuring: the strands are mapped to canonical space and their signals are kept, on a grid
+whose cells have one physical width.
+"""
+
+from __future__ import annotations
+
+import json
+from dataclasses import asdict, dataclass, field
+from pathlib import Path
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.archives import DAMAGE, read_arrays, write_arrays
+from detangled.diffusion.patches import PatchSchedule
+from detangled.diffusion.whitening import Whitening
+from detangled.errors import ModelError, ReadError, TextureError
+from detangled.formats import replacing
+from detangled.geometry.arc import arc_lengths
+from detangled.geometry.signal import signals
+from detangled.geometry.winding import winding
+from detangled.groom import Groom
+from detangled.grooming.guides import style_guides
+
+SUFFIX = ".texture"
+METHOD = "patches"
+VERSION = 1
+CELLS = 256  # of a strand of median length, where its turns need no fewer
+CELLS_PER_TURN = 16.0  # enough: twists keep their angle in cells as wide
+FEWEST_CELLS = 64  # of a strand of median length
+MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
+
+
+@dataclass(frozen=True)
+class FittedTexture:
+    """What a texture's strands are like, in canonical space.
+
+    signals: (C, 3), kappa, tau [1/cm] and v [cm per t] of the strands, one after another.
+    starts: (E + 1,), strand e is in rows starts[e] to starts[e + 1]. cell_width: arc length of a cell [cm].
+    turn: arc length of a turn [cm]. median_arc: arc length of the median strand [cm]. arc_per_axis: arc length per length along the axis, in the median.
+    radius, wavelength: medians by winding [cm]; the wavelength of straight hair is NaN.
+    """
+
+    signals: NDArray[np.float64]
+    starts: NDArray[np.int64]
+    whitening: Whitening
+    cell_width: float
+    turn: float
+    median_arc: float
+    arc_per_axis: float
+    radius: float
+    wavelength: float
+    schedule: PatchSchedule = field(default_factory=PatchSchedule)
+    method: str = METHOD
+
+    @property
+    def strand_count(self) -> int:
+        return len(self.starts) - 1
+
+    @property
+    def cells(self) -> NDArray[np.int64]:
+        """Cells of each strand, (E,)."""
+        return np.diff(self.starts)
+
+
+def fit_patches(groom: Groom) -> FittedTexture:
+    """Fit a texture to the strands of a groom, from one to some hundreds, of any point counts.
+
+    Raises TextureError where none of them can be used.
+    """
+    guides = style_guides(groom)
+    if len(guides.kept) == 0:
+        raise TextureError(
+            f"none of the {groom.strand_count} target strands can be used: each has fewer than two distinct points "
+            "or a coordinate that is not finite"
+        )
+    if len(guides.kept) > MOST_STRANDS:
+        chosen = np.linspace(0, len(guides.kept) - 1, MOST_STRANDS).round().astype(np.int64)
+        guides = style_guides(groom.select(guides.kept[chosen]))
+    offsets = guides.groom.offsets
+    canonical = guides.canonical()
+    arcs = arc_lengths(canonical, offsets)
+    radius, wavelength = winding(canonical, offsets)
+
+    median_arc = float(np.median(arcs))
+    coarse = signals(canonical, offsets, np.arange(len(offsets), dtype=np.int64) * CELLS)
+    turn = min(_arc_of_a_turn(coarse), median_arc)
+    cell_width = float(np.clip(turn / CELLS_PER_TURN, median_arc / CELLS, median_arc / FEWEST_CELLS))
+    cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), 8)
+    starts = np.concatenate([[0], np.cumsum(cells)])
+    values = signals(canonical, offsets, starts)
+    return FittedTexture(
+        signals=values,
+        starts=starts,
+        whitening=Whitening.of([values[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True)]),
+        cell_width=cell_width,
+        turn=turn,
+        median_arc=median_arc,
+        arc_per_axis=float(np.median(arcs / np.maximum(guides.lengths, 1e-12))),
+        radius=float(np.median(radius)),
+        wavelength=float(np.nanmedian(wavelength)) if np.isfinite(wavelength).any() else float("nan"),
+    )
+
+
+def _arc_of_a_turn(values: NDArray[np.float64]) -> float:
+    """Arc length [cm] in which the frame of a helix with the median curvature and torsion turns once."""
+    rate = float(np.median(np.hypot(values[:, 0], values[:, 1])))
+    return 2.0 * np.pi / max(rate, 1e-9)
+
+
+def save_texture(texture: FittedTexture, path: str | Path) -> None:
+    """Write a .texture file. Raises WriteError."""
+    manifest = {
+        "format": "detangled texture",
+        "version": VERSION,
+        "method": texture.method,
+        "whitening": asdict(texture.whitening),
+        "schedule": asdict(texture.schedule),
+        "cell_width": texture.cell_width,
+        "turn": texture.turn,
+        "median_arc": texture.median_arc,
+        "arc_per_axis": texture.arc_per_axis,
+        "radius": texture.radius,
+        "wavelength": texture.wavelength,
+    }
+    with replacing(Path(path)) as temporary:
+        write_arrays(
+            temporary,
+            {
+                "manifest": np.array([json.dumps(manifest, sort_keys=True)]),
+                "signals": texture.signals,
+                "starts": texture.starts,
+            },
+        )
+
+
+def load_texture(path: str | Path) -> FittedTexture:
+    """Read a .texture file. Raises ReadError where it is missing, ModelError where it is damaged or of another kind."""
+    path = Path(path)
+    if not path.is_file():
+        raise ReadError(f"{path}: no such file")
+    try:
+        arrays = read_arrays(path)
+        manifest = json.loads(str(arrays["manifest"][0]))
+        if manifest["version"] != VERSION or manifest["method"] != METHOD:
+            raise ModelError(
+                f"{path}: a texture of version {manifest['version']}, method {manifest['method']}; this detangled reads "
+                f"version {VERSION}, method {METHOD}: fit it again"
+            )
+        whitening = Whitening(**{name: tuple(value) for name, value in manifest["whitening"].items()})
+        return FittedTexture(
+            signals=_checked(arrays["signals"], 2),
+            starts=_checked(arrays["starts"], 1),
+            whitening=whitening,
+            schedule=PatchSchedule(**manifest["schedule"]),
+            method=METHOD,
+            **{
+                name: float(manifest[name])
+                for name in ("cell_width", "turn", "median_arc", "arc_per_axis", "radius", "wavelength")
+            },
+        )
+    except (*DAMAGE, AttributeError, IndexError) as error:
+        raise ModelError(f"{path}: not a texture made by detangled fit, or damaged ({type(error).__name__})") from error
+
+
+def _checked(array: NDArray[np.generic], dimensions: int) -> NDArray:
+    if array.ndim != dimensions or not np.all(np.isfinite(array)):
+        raise ValueError("an array of another shape, or not finite")
+    return array

@@ -1,0 +1,119 @@
+"""Style guides of a groom: its strands' centrelines, and which strands can have one."""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.geometry.arc import arc_lengths
+from detangled.geometry.canonical import phi
+from detangled.geometry.centerline import centerlines
+from detangled.groom import Attribute, Groom, Scope
+from detangled.kernels import parallel_kernel, prange
+
+# Float32 files resolve a head's coordinates to about this much [cm]; a strand within it is a single point.
+LEAST_EXTENT = 1e-6
+
+
+@dataclass(frozen=True)
+class StyleGuides:
+    """Style guides of the usable strands of a groom.
+
+    groom: the usable strands, as they were. kept: (S,) indices of these in the whole groom.
+    points: (P, 3) [cm], guides with as many points as the strands, by the groom's offsets.
+    lengths: (S,) [cm], arc lengths of the guides.
+    """
+
+    groom: Groom
+    kept: NDArray[np.int64]
+    points: NDArray[np.float64]
+    lengths: NDArray[np.float64]
+
+    def canonical(self) -> NDArray[np.float64]:
+        """The strands in canonical space, (P, 3) [cm]."""
+        return to_canonical(self.groom.points, self.points, self.groom.offsets)
+
+    def as_groom(self) -> Groom:
+        """The guides as a groom of their own, with the strands' attributes."""
+        return replace(self.groom, points=self.points)
+
+
+def usable_strands(groom: Groom) -> NDArray[np.bool_]:
+    """Which strands (S,) have finite coordinates throughout and at least two distinct points."""
+    counts = groom.point_counts
+    strand = np.repeat(np.arange(groom.strand_count), counts)
+    finite = np.isfinite(groom.points).all(axis=1)
+    ok = np.bincount(strand, ~finite, minlength=groom.strand_count) == 0
+    filled = counts > 0
+    extent = np.zeros(groom.strand_count)
+    if filled.any():
+        first = groom.offsets[:-1][filled]
+        with np.errstate(invalid="ignore"):
+            span = np.maximum.reduceat(groom.points, first) - np.minimum.reduceat(groom.points, first)
+        extent[filled] = span.max(axis=1)
+    with np.errstate(invalid="ignore"):
+        return ok & (counts >= 2) & (extent > LEAST_EXTENT)
+
+
+def style_guides(groom: Groom) -> StyleGuides:
+    """Extract the style guides of all usable strands."""
+    kept = np.flatnonzero(usable_strands(groom))
+    strands = groom if len(kept) == groom.strand_count else groom.select(kept)
+    points, _ = centerlines(strands.points, strands.offsets)
+    return StyleGuides(strands, kept, points, arc_lengths(points, strands.offsets))
+
+
+def guides_groom(groom: Groom) -> Groom:
+    """The groom with each usable strand replaced by its style guide; the others stay as they are."""
+    guides = style_guides(groom)
+    points = groom.points.copy()
+    mask = np.zeros(groom.strand_count, dtype=np.bool_)
+    mask[guides.kept] = True
+    points[np.repeat(mask, groom.point_counts)] = guides.points
+    return replace(groom, points=points)
+
+
+@parallel_kernel
+def to_canonical(
+    points: NDArray[np.float64], guides: NDArray[np.float64], offsets: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Strands (P, 3) in the canonical space of their guides (P, 3)."""
+    out = np.empty_like(points)
+    for s in prange(offsets.shape[0] - 1):
+        a = offsets[s]
+        b = offsets[s + 1]
+        if b > a:
+            out[a:b] = phi(points[a:b], guides[a:b])
+    return out
+
+
+def resampled_attributes(groom: Groom, offsets: NDArray[np.int64]) -> tuple[dict[str, Attribute], list[str]]:
+    """Attributes of a groom for strands with other point counts (``offsets``), and those that had to go.
+
+    Values of points are read at the same share of the strand: fractions between neighbours, anything else from the
+    nearest point. Velocities belong to the old points alone.
+    """
+    kept: dict[str, Attribute] = {}
+    lost: list[str] = []
+    counts = np.diff(offsets)
+    strand = np.repeat(np.arange(groom.strand_count), counts)
+    share = (np.arange(offsets[-1]) - offsets[strand]) / np.maximum(counts[strand] - 1, 1)
+    old = groom.point_counts[strand]
+    at = groom.offsets[strand] + share * (old - 1)
+    below = np.minimum(at.astype(np.int64), groom.offsets[strand] + np.maximum(old - 2, 0))
+    above = np.minimum(below + 1, groom.offsets[strand + 1] - 1)
+    part = at - below
+    for name, attribute in groom.attributes.items():
+        if attribute.scope is not Scope.POINT:
+            kept[name] = attribute
+        elif name == "velocities":
+            lost.append(f"attribute {name!r} was not kept: it belongs to the strands' old points")
+        elif np.issubdtype(attribute.values.dtype, np.floating):
+            weight = part.reshape((-1,) + (1,) * (attribute.values.ndim - 1))
+            mixed = attribute.values[below] * (1.0 - weight) + attribute.values[above] * weight
+            kept[name] = Attribute(mixed.astype(attribute.values.dtype), Scope.POINT)
+        else:
+            kept[name] = Attribute(attribute.values[np.where(part < 0.5, below, above)], Scope.POINT)
+    return kept, lost

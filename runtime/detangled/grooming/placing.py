@@ -1,0 +1,164 @@
+"""Canonical strands on style guides: roots kept, lengths exact, enough points for every turn.
+
+Paper sections "Canonical Space & Style Guides" (the inverse of phi, guides resampled so that segments match) and
+"Adjusting Strand Length".
+"""
+
+from __future__ import annotations
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.geometry.arc import arc_length, resample_strand
+from detangled.geometry.canonical import guide_frames
+from detangled.geometry.spline import chord_lengths, distinct_points, spline_sample, spline_slopes
+from detangled.kernels import kernel, parallel_kernel, prange
+
+GUIDE_SAMPLES_PER_SEGMENT = 8
+FEWEST_GUIDE_SAMPLES, MOST_GUIDE_SAMPLES = 64, 4096
+# A new strand starts at the old root and swings out to its own distance from the guide over so much of its axis,
+# but within half of it.
+BLEND_RADII = 6.0
+BLEND_SHARE = 0.5
+
+
+@kernel
+def _dense_guide(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """A guide finely sampled (m, 3) and the arc length at its samples (m,), from its smooth curve."""
+    guide = distinct_points(points)
+    segments = guide.shape[0] - 1
+    m = min(max(GUIDE_SAMPLES_PER_SEGMENT * segments, FEWEST_GUIDE_SAMPLES), max(MOST_GUIDE_SAMPLES, segments))
+    t = chord_lengths(guide)
+    dense = spline_sample(t, guide, spline_slopes(t, guide), np.linspace(0.0, t[-1], m + 1))
+    along = chord_lengths(dense)
+    return dense, along * (arc_length(guide) / along[m])
+
+
+@kernel
+def bend_onto(canonical: NDArray[np.float64], guide: NDArray[np.float64]) -> NDArray[np.float64]:
+    """World-space strand (n, 3) [cm] of a canonical one (n, 3), whose axis -z becomes the guide (g, 3).
+
+    The guide is resampled where the strand's points are, so segments match one to one; beyond its ends it goes on
+    straight. Its frames are those of phi, evenly turned between samples.
+    """
+    dense, along = _dense_guide(guide)
+    frames = guide_frames(dense)
+    m = dense.shape[0] - 1
+    n = canonical.shape[0]
+    out = np.empty((n, 3))
+    x = np.empty(3)
+    y = np.empty(3)
+    k = 0
+    for i in range(n):
+        s = -canonical[i, 2]
+        while k < m - 1 and s > along[k + 1]:
+            k += 1
+        while k > 0 and s < along[k]:
+            k -= 1
+        part = (s - along[k]) / (along[k + 1] - along[k])
+        inside = min(max(part, 0.0), 1.0)
+        ahead = min(k + 1, m)
+        size = 0.0
+        for c in range(3):
+            x[c] = frames[k, 0, c] * (1.0 - inside) + frames[ahead, 0, c] * inside
+            size += x[c] * x[c]
+        x /= np.sqrt(size)
+        down = 0.0
+        for c in range(3):
+            y[c] = frames[k, 1, c] * (1.0 - inside) + frames[ahead, 1, c] * inside
+            down += y[c] * x[c]
+        size = 0.0
+        for c in range(3):
+            y[c] -= down * x[c]
+            size += y[c] * y[c]
+        y /= np.sqrt(size)
+        for c in range(3):
+            out[i, c] = (
+                dense[k, c] + part * (dense[k + 1, c] - dense[k, c]) + canonical[i, 0] * x[c] + canonical[i, 1] * y[c]
+            )
+    return out
+
+
+@kernel
+def _seat(canonical: NDArray[np.float64], root: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+    """Turn a canonical strand (n, 3) about its axis and let it start at ``root`` (3,), in canonical space."""
+    n = canonical.shape[0]
+    cosine = np.cos(angle)
+    sine = np.sin(angle)
+    out = np.empty((n, 3))
+    size = 0.0
+    for i in range(n):
+        out[i, 0] = cosine * canonical[i, 0] - sine * canonical[i, 1]
+        out[i, 1] = sine * canonical[i, 0] + cosine * canonical[i, 1]
+        out[i, 2] = canonical[i, 2] - canonical[0, 2]
+        size += np.sqrt(canonical[i, 0] ** 2 + canonical[i, 1] ** 2)
+    reach = min(BLEND_RADII * size / n, -BLEND_SHARE * out[n - 1, 2])
+    shift = root - out[0]
+    for i in range(n):
+        u = -out[i, 2] / reach if reach > 0.0 else 1.0
+        # Points above the root, where a coil leans back, move with it.
+        u = min(max(u, 0.0), 1.0)
+        weight = 1.0 - u * u * (3.0 - 2.0 * u)
+        for c in range(3):
+            out[i, c] += weight * shift[c]
+    out[0] = root
+    return out
+
+
+@parallel_kernel
+def place(
+    canonical: NDArray[np.float64],
+    offsets: NDArray[np.int64],
+    guides: NDArray[np.float64],
+    guide_offsets: NDArray[np.int64],
+    roots: NDArray[np.float64],
+    angles: NDArray[np.float64],
+) -> NDArray[np.float64]:
+    """World-space strands (P, 3) [cm] of canonical ones (P, 3), each turned about its axis and set on its guide.
+
+    guides: (G, 3), guide s in rows guide_offsets[s] to guide_offsets[s + 1]. roots: (S, 3), where each strand starts
+    in the canonical space of its guide. angles: (S,) [rad].
+    """
+    out = np.empty_like(canonical)
+    for s in prange(offsets.shape[0] - 1):
+        a = offsets[s]
+        b = offsets[s + 1]
+        seated = _seat(canonical[a:b], roots[s], angles[s])
+        out[a:b] = bend_onto(seated, guides[guide_offsets[s] : guide_offsets[s + 1]])
+    return out
+
+
+@parallel_kernel
+def resample(
+    points: NDArray[np.float64], offsets: NDArray[np.int64], new_offsets: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Strands (P, 3) evenly resampled to other point counts, (Q, 3), both ends kept."""
+    out = np.empty((new_offsets[-1], 3))
+    for s in prange(offsets.shape[0] - 1):
+        strand = distinct_points(points[offsets[s] : offsets[s + 1]])
+        out[new_offsets[s] : new_offsets[s + 1]] = resample_strand(strand, new_offsets[s + 1] - new_offsets[s])
+    return out
+
+
+def cut(
+    points: NDArray[np.float64], offsets: NDArray[np.int64], measure: NDArray[np.float64], ends: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Strands cut where ``measure`` (P,), 0 at their roots, first reaches ``ends`` (S,), and their offsets.
+
+    A strand that never gets there, or whose end is infinite, stays whole.
+    """
+    strands = len(offsets) - 1
+    strand = np.repeat(np.arange(strands), np.diff(offsets))
+    beyond = np.flatnonzero(measure >= ends[strand])
+    last = offsets[1:] - 1
+    if len(beyond):
+        hit, where = np.unique(strand[beyond], return_index=True)
+        last = last.copy()
+        last[hit] = np.maximum(beyond[where], offsets[hit] + 1)
+    new = points.copy()
+    low = measure[last - 1]
+    rise = measure[last] - low
+    part = np.where((measure[last] >= ends) & (rise > 0), (ends - low) / np.where(rise > 0, rise, 1.0), 1.0)
+    new[last] = points[last - 1] + np.clip(part, 1e-6, 1.0)[:, None] * (points[last] - points[last - 1])
+    rows = np.flatnonzero(np.arange(len(points)) <= last[strand])
+    return new[rows], np.concatenate([[0], np.cumsum(last - offsets[:-1] + 1)])
