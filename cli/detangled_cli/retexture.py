@@ -88,7 +88,7 @@ def command(
     """
     from detangled.formats import check_writable, read, write
     from detangled.kernels import set_threads
-    from detangled.retexture import Length, Options, retexture
+    from detangled.retexturing import Length, Options, retexture
     from detangled_cli.targets import fitted_texture
 
     began = time.perf_counter()

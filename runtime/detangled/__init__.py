@@ -15,7 +15,7 @@ if TYPE_CHECKING:
     from detangled.formats import read, write
     from detangled.groom import Attribute, Groom, Scope
     from detangled.grooming.guides import guides_groom as guides
-    from detangled.retexture import Length, Options, Result, retexture
+    from detangled.retexturing import Length, Options, Result, retexture
 
 __version__ = "0.1.0"
 
@@ -29,10 +29,10 @@ _WHERE = {
     "save_texture": ("detangled.fitted", "save_texture"),
     "load_texture": ("detangled.fitted", "load_texture"),
     "guides": ("detangled.grooming.guides", "guides_groom"),
-    "retexture": ("detangled.retexture", "retexture"),
-    "Length": ("detangled.retexture", "Length"),
-    "Options": ("detangled.retexture", "Options"),
-    "Result": ("detangled.retexture", "Result"),
+    "retexture": ("detangled.retexturing", "retexture"),
+    "Length": ("detangled.retexturing", "Length"),
+    "Options": ("detangled.retexturing", "Options"),
+    "Result": ("detangled.retexturing", "Result"),
 }
 
 __all__ = [

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -94,7 +95,7 @@ def fit_patches(groom: Groom) -> FittedTexture:
     return FittedTexture(
         signals=values,
         starts=starts,
-        whitening=Whitening.of([values[a:b] for a, b in zip(starts[:-1], starts[1:], strict=True)]),
+        whitening=Whitening.of([values[a:b] for a, b in pairwise(starts)]),
         cell_width=cell_width,
         turn=turn,
         median_arc=median_arc,
@@ -146,8 +147,8 @@ def load_texture(path: str | Path) -> FittedTexture:
         manifest = json.loads(str(arrays["manifest"][0]))
         if manifest["version"] != VERSION or manifest["method"] != METHOD:
             raise ModelError(
-                f"{path}: a texture of version {manifest['version']}, method {manifest['method']}; this detangled reads "
-                f"version {VERSION}, method {METHOD}: fit it again"
+                f"{path}: a texture of version {manifest['version']}, method {manifest['method']}; this detangled "
+                f"reads version {VERSION}, method {METHOD}: fit it again"
             )
         whitening = Whitening(**{name: tuple(value) for name, value in manifest["whitening"].items()})
         return FittedTexture(

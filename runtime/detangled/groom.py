@@ -107,9 +107,8 @@ class Groom:
         steps[1:] = np.linalg.norm(np.diff(self.points, axis=0), axis=1)
         # The step that leads from one strand to the next belongs to neither.
         steps[self.offsets[:-1][self.point_counts > 0]] = 0.0
-        return np.bincount(
-            np.repeat(np.arange(self.strand_count), self.point_counts), steps, minlength=self.strand_count
-        )
+        strand = np.repeat(np.arange(self.strand_count), self.point_counts)
+        return np.bincount(strand, weights=steps, minlength=self.strand_count).astype(np.float64, copy=False)
 
     def select(self, strands: ArrayLike) -> Groom:
         """The groom of these strands (indices or a boolean mask), with their attributes."""

@@ -43,6 +43,7 @@ os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_directory()))
 import numba  # noqa: E402  (its cache folder is read when it is imported)
 
 prange = numba.prange
+_threads_at_most = numba.get_num_threads()
 
 
 def kernel(function: Any) -> Any:
@@ -58,4 +59,4 @@ def parallel_kernel(function: Any) -> Any:
 def set_threads(count: int | None) -> None:
     """Use ``count`` threads from now on; None leaves numba's own choice, all cores."""
     if count is not None:
-        numba.set_num_threads(max(1, min(count, numba.config.NUMBA_NUM_THREADS)))
+        numba.set_num_threads(max(1, min(count, _threads_at_most)))

@@ -179,7 +179,7 @@ def plan_stretches(
     spread = np.abs(length - cells) if len(lengths) >= stretches * offered else np.maximum(length, cells)
     shorter = rng.uniform(0.0, 1.0, chosen.shape) * np.maximum(length - cells, 0)
     longer = np.where(length < cells, middle * (length / cells - 1.0), 0.0)
-    jitter = 0.0
+    jitter = np.zeros(chosen.shape)
     if len(lengths) < stretches * offered:
         jitter = rng.uniform(-0.25, 0.25, chosen.shape) * np.minimum(length, spread)
     diagonals = np.round(shorter + longer + jitter).astype(np.int64)

@@ -20,9 +20,9 @@ class Whitening:
     that it means the same on a grid of any number of cells. scale: (2,); mean, deviation: (3,).
     """
 
-    scale: tuple[float, float]
-    mean: tuple[float, float, float]
-    deviation: tuple[float, float, float]
+    scale: tuple[float, ...]
+    mean: tuple[float, ...]
+    deviation: tuple[float, ...]
 
     @classmethod
     def of(cls, signals: list[NDArray[np.float64]]) -> Whitening:

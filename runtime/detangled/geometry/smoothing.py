@@ -53,21 +53,18 @@ def smooth_channels(values: NDArray[np.float64], step: float, most_blur: float) 
     """
     m, channels = values.shape
     edges = np.empty(m - 1)
-    width = np.zeros(m)
-    spent = np.empty(m)
+    width = np.empty(m)
+    spent = np.zeros(m)
     old = np.empty(m)
     most = most_blur * most_blur
-    left = 0
-    for c in range(channels):
-        spent[:] = 0.0
-        for round_ in range(MOST_ROUNDS + 1):
+    for round_ in range(MOST_ROUNDS + 1):
+        width[:] = 0.0
+        offending = 0
+        spendable = False
+        for c in range(channels):
             limit, mean = _edges(values, c, step, edges)
-            offending = 0
-            spendable = False
             for i in range(m - 1):
                 if edges[i] >= limit:
-                    if offending == 0:
-                        width[:] = 0.0
                     offending += 1
                     wide = min(max(edges[i] / mean, NARROWEST_KERNEL), WIDEST_KERNEL)
                     reach = int(np.ceil(2.0 * wide))
@@ -75,16 +72,17 @@ def smooth_channels(values: NDArray[np.float64], step: float, most_blur: float) 
                         if spent[j] < NEARLY_ALL * most:
                             width[j] = max(width[j], min(wide, np.sqrt(most - spent[j])))
                             spendable = True
-            if not spendable or round_ == MOST_ROUNDS:
-                left += offending
-                break
+        if not spendable or round_ == MOST_ROUNDS:
+            return offending
+        for c in range(channels):
             for i in range(m):
                 old[i] = values[i, c]
             for i in range(1, m - 1):
                 if width[i] > 0.0:
                     values[i, c] = _gaussian_mean(old, i, width[i])
-                    spent[i] += width[i] * width[i]
-    return left
+        for i in range(m):
+            spent[i] += width[i] * width[i]
+    return 0
 
 
 @kernel
