@@ -2,7 +2,7 @@
 
 numba keys its cache on the file of the compiled function alone, so an edit to a function that it calls would go
 unnoticed; and a package folder may be read-only. So the cache lives in the user's cache folder, in a directory
-named by a hash of detangled's sources, unless NUMBA_CACHE_DIR says otherwise.
+named by a hash of the sources that hold kernels, unless NUMBA_CACHE_DIR says otherwise.
 """
 
 from __future__ import annotations
@@ -29,7 +29,9 @@ def cache_directory() -> Path:
     package = Path(__file__).parent
     digest = hashlib.sha256()
     for source in sorted(package.rglob("*.py")):
-        digest.update(source.read_bytes())
+        text = source.read_bytes()
+        if b"detangled.kernels" in text:
+            digest.update(text)
     return _user_cache() / "detangled" / f"kernels-{digest.hexdigest()[:16]}"
 
 
@@ -49,6 +51,11 @@ _threads_at_most = numba.get_num_threads()
 def kernel(function: Any) -> Any:
     """Compile a function of one strand, called from other kernels."""
     return numba.njit(function, cache=True, error_model="numpy", nogil=True)
+
+
+def vector_kernel(function: Any) -> Any:
+    """Compile a function of finite numbers like ``kernel``, free to reorder sums for vector instructions."""
+    return numba.njit(function, cache=True, error_model="numpy", nogil=True, fastmath=True)
 
 
 def parallel_kernel(function: Any) -> Any:

@@ -9,6 +9,7 @@ from __future__ import annotations
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 from enum import Enum
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import NDArray
@@ -29,8 +30,11 @@ CHUNK = 512  # strands made at once: the memory that a groom needs beside its ow
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
 FEWEST_TURNS = 6.0
 CUT_MARGIN = 1.25
-LENGTH_TOLERANCE = 5e-4
+# v is scaled until a strand is as long as it should be or this share longer; what is over is cut off its tip. The
+# axial length of a scaled strand scatters by a percent or two, so nothing finer would be reached by scaling alone.
+MOST_CUT = 0.04
 MOST_ROUNDS = 8
+LENGTH_TOLERANCE = 1e-3
 
 
 class Length(str, Enum):
@@ -57,6 +61,7 @@ class Result:
     strands: how many were retextured. passed_through: indices (B,) of those that could not be, and are unchanged.
     lost: attributes that could not be carried over, one sentence each. warnings: other sentences.
     length_rounds: rounds of scaling v that the lengths took, the most of any strand.
+    shortest: least length of a new strand, as a share of what it should be.
     """
 
     groom: Groom
@@ -65,6 +70,7 @@ class Result:
     lost: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     length_rounds: int = 0
+    shortest: float = 1.0
 
 
 def retexture(
@@ -96,26 +102,28 @@ def retexture(
     for index in np.setdiff1d(np.arange(groom.strand_count), guides.kept):
         strands[index] = groom.strand(index)
     rounds = 0
+    shortest = 1.0
     scarce = 0
     fewest_per_turn = float(POINTS_PER_TURN)
     # Strands on grids of one size are made together.
     order = np.argsort(grid_cells(texture, arcs), kind="stable")
     for first in range(0, len(order), CHUNK):
         members = np.sort(order[first : first + CHUNK])
-        points, offsets, took = _make(texture, guides, members, arcs, goals, short, roots, options, progress)
-        rounds = max(rounds, took)
-        wanted = _points_wanted(texture, points, offsets, guides.groom.point_counts[members])
+        made = _make(texture, guides, members, arcs, goals, short, roots, options, progress)
+        rounds = max(rounds, made.rounds)
+        shortest = min(shortest, made.shortest)
+        wanted = _points_wanted(texture, made.points, made.offsets, guides.groom.point_counts[members])
         counts = wanted if options.max_points is None else np.minimum(wanted, max(options.max_points, 2))
         if np.any(counts < wanted):
             scarce += int(np.count_nonzero(counts < wanted))
             fewest_per_turn = min(fewest_per_turn, float((POINTS_PER_TURN * counts / wanted).min()))
         new_offsets = np.concatenate([[0], np.cumsum(counts)])
-        new_points = resample(points, offsets, new_offsets)
+        new_points = resample(made.points, made.offsets, new_offsets)
         new_points[new_offsets[:-1]] = guides.groom.points[guides.groom.offsets[members]]
         for k, member in enumerate(members):
             strands[guides.kept[member]] = new_points[new_offsets[k] : new_offsets[k + 1]]
 
-    offsets = np.concatenate([[0], np.cumsum([len(s) for s in strands])]).astype(np.int64)
+    offsets = _offsets_of(strands)
     attributes, lost = resampled_attributes(groom, offsets)
     warnings = []
     if scarce:
@@ -123,6 +131,8 @@ def retexture(
             f"{scarce} strands need more than {options.max_points} points: they got as few as {fewest_per_turn:.1f} a "
             f"turn where {POINTS_PER_TURN} keep the texture; raise --max-points, or keep arcs with --length strand"
         )
+    if shortest < 1.0 - LENGTH_TOLERANCE:
+        warnings.append(f"a strand came out at {100.0 * shortest:.1f} % of its length")
     return Result(
         groom=replace(groom, points=np.concatenate(strands), offsets=offsets, attributes=attributes),
         strands=len(guides.kept),
@@ -130,6 +140,7 @@ def retexture(
         lost=lost,
         warnings=warnings,
         length_rounds=rounds,
+        shortest=shortest,
     )
 
 
@@ -144,6 +155,15 @@ def _arcs_to_make(
     return arcs, short
 
 
+class _Made(NamedTuple):
+    """World-space strands (P, 3), finely sampled, their offsets, the rounds of scaling, and the least share reached."""
+
+    points: NDArray[np.float64]
+    offsets: NDArray[np.int64]
+    rounds: int
+    shortest: float
+
+
 def _make(
     texture: FittedTexture,
     guides: StyleGuides,
@@ -154,8 +174,8 @@ def _make(
     all_roots: NDArray[np.float64],
     options: Options,
     progress: Callable[[int], object] | None,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], int]:
-    """World-space strands (P, 3) for these guides, finely sampled, their offsets, and the rounds their lengths took."""
+) -> _Made:
+    """New strands for these guides."""
     names = guides.kept[members]
     goals, short = all_goals[members], all_short[members]
     values, starts = synthesise(texture, all_arcs[members], names, options.seed, options.steps, progress)
@@ -164,68 +184,54 @@ def _make(
     turns = np.array([np.random.default_rng([options.seed, int(n), 1]).uniform(-np.pi, np.pi) for n in names])
 
     done: list[NDArray[np.float64]] = [np.empty((0, 3))] * len(members)
+    reached = np.zeros(len(members))
     todo = np.arange(len(members))
     rounds = 0
     while len(todo):
         rounds += 1
         signal, signal_starts = _rows(values, starts, todo)
         offsets = np.concatenate([[0], np.cumsum(curve_counts(signal, signal_starts))])
-        made = curves(signal, signal_starts, offsets)
-        axes, _ = centerlines(made, offsets)
-        canonical = to_canonical(made, axes, offsets)
-        canonical, offsets, reached = _to_extent(canonical, offsets, goals[todo], short[todo], options.length, rounds)
+        points = curves(signal, signal_starts, offsets)
+        axes, _ = centerlines(points, offsets)
+        canonical = to_canonical(points, axes, offsets)
+        goal = goals[todo]
+        if options.length is Length.GUIDE:
+            down = canonical[offsets[:-1], 2].repeat(np.diff(offsets)) - canonical[:, 2]
+            length = down[offsets[1:] - 1]
+            canonical, offsets = cut(canonical, offsets, down, goal)
         own_guides = guide_groom.select(todo)
         angles = _angles(canonical[offsets[:-1]], roots[todo], turns[todo])
         world = place(canonical, offsets, own_guides.points, own_guides.offsets, roots[todo], angles)
         if options.length is Length.STRAND:
-            world, offsets, reached = _to_arc(world, offsets, goals[todo], short[todo])
-        ready = (np.abs(reached / goals[todo] - 1.0) <= LENGTH_TOLERANCE) | (rounds == MOST_ROUNDS)
-        for k in np.flatnonzero(ready):
-            done[todo[k]] = world[offsets[k] : offsets[k + 1]]
-        scale = np.clip(goals[todo] / reached, 0.25, 4.0)
-        for k in np.flatnonzero(~ready):
-            values[starts[todo[k]] : starts[todo[k] + 1], 2] *= scale[k]
+            along = _arc_positions(world, offsets)
+            length = along[offsets[1:] - 1]
+            world, offsets = cut(world, offsets, along, goal)
+        ready = (length >= goal) & (short[todo] | (length <= (1.0 + MOST_CUT) * goal)) | (rounds == MOST_ROUNDS)
+        scale = np.clip((1.0 + 0.5 * MOST_CUT) * goal / np.maximum(length, 1e-12), 0.25, 4.0)
+        reached[todo] = np.minimum(length / goal, 1.0)
+        for k, index in enumerate(todo):
+            if ready[k]:
+                done[index] = world[offsets[k] : offsets[k + 1]]
+            else:
+                values[starts[index] : starts[index + 1], 2] *= scale[k]
         todo = todo[~ready]
-    return np.concatenate(done), np.concatenate([[0], np.cumsum([len(d) for d in done])]), rounds
+    return _Made(np.concatenate(done), _offsets_of(done), rounds, float(reached.min()))
 
 
-def _to_extent(
-    canonical: NDArray[np.float64],
-    offsets: NDArray[np.int64],
-    goals: NDArray[np.float64],
-    short: NDArray[np.bool_],
-    length: Length,
-    rounds: int,
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Cut the short strands where they come level with their guides' ends; say how far down each reaches, (S,).
-
-    What the last round leaves over, and what is within tolerance, is taken up along the axis.
-    """
-    if length is not Length.GUIDE:
-        return canonical, offsets, goals
-    strand = np.repeat(np.arange(len(goals)), np.diff(offsets))
-    down = canonical[offsets[:-1], 2][strand] - canonical[:, 2]
-    canonical, offsets = cut(canonical, offsets, down, np.where(short, goals, np.inf))
-    reached = canonical[offsets[:-1], 2] - canonical[offsets[1:] - 1, 2]
-    close = (np.abs(reached / goals - 1.0) <= LENGTH_TOLERANCE) | (rounds == MOST_ROUNDS)
-    stretch = np.where(close & (reached > 0.0), goals / np.where(reached > 0.0, reached, 1.0), 1.0)
-    canonical[:, 2] *= np.repeat(stretch, np.diff(offsets))
-    return canonical, offsets, np.where(reached > 0.0, reached, 0.25 * goals) * np.where(close, stretch, 1.0)
-
-
-def _to_arc(
-    world: NDArray[np.float64], offsets: NDArray[np.int64], goals: NDArray[np.float64], short: NDArray[np.bool_]
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Cut the short strands at their arc length; return the arc lengths (S,) that all have now."""
+def _arc_positions(world: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Arc length (P,) [cm] from each strand's root to its points, of the smooth curve through them."""
     steps = np.zeros(len(world))
     steps[1:] = np.linalg.norm(np.diff(world, axis=0), axis=1)
     steps[offsets[:-1]] = 0.0
     total = np.cumsum(steps)
-    strand = np.repeat(np.arange(len(goals)), np.diff(offsets))
-    chord = total - total[offsets[:-1]][strand]
-    smooth = arc_lengths(world, offsets) / chord[offsets[1:] - 1]
-    world, offsets = cut(world, offsets, chord * smooth[strand], np.where(short, goals, np.inf))
-    return world, offsets, arc_lengths(world, offsets)
+    counts = np.diff(offsets)
+    chord = total - total[offsets[:-1]].repeat(counts)
+    return chord * (arc_lengths(world, offsets) / chord[offsets[1:] - 1]).repeat(counts)
+
+
+def _offsets_of(strands: list[NDArray[np.float64]]) -> NDArray[np.int64]:
+    """Where each of some strands starts when they stand one after another, (S + 1,)."""
+    return np.concatenate([[0], np.cumsum([len(s) for s in strands])]).astype(np.int64)
 
 
 def _angles(starts: NDArray[np.float64], roots: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:

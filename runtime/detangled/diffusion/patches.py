@@ -16,9 +16,10 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.kernels import kernel, parallel_kernel, prange
+from detangled.kernels import kernel, parallel_kernel, prange, vector_kernel
 
 NEGLIGIBLE = -30.0  # logarithm of a weight, relative to the largest, that changes nothing in float64
+NO_PATCH = -1e300  # score where an example has no cell
 
 
 @dataclass(frozen=True)
@@ -43,19 +44,150 @@ class PatchSchedule:
         return round(self.narrowest * (self.widest / self.narrowest) ** float(part))
 
 
-@kernel
+@vector_kernel
 def _add_distances(
-    x: NDArray[np.float64], y: NDArray[np.float64], i: int, j: int, sign: float, sums: NDArray[np.float64]
+    x: NDArray[np.float64],
+    entering: int,
+    leaving: int,
+    examples: NDArray[np.float64],
+    begin: int,
+    end: int,
+    first: int,
+    span: int,
+    sums: NDArray[np.float64],
+    row: int,
 ) -> None:
-    """Add ``sign`` times the squared distance of cell i of x (3, L) to cells j, j + 1, ... of y (3, M) to ``sums``."""
-    a = x[0, i]
-    b = x[1, i]
-    c = x[2, i]
-    for k in range(sums.shape[0]):
-        da = a - y[0, j + k]
-        db = b - y[1, j + k]
-        dc = c - y[2, j + k]
-        sums[k] += sign * (da * da + db * db + dc * dc)
+    """Move the sums of one example's diagonals on by a cell: add the cell that enters, take off the one that leaves.
+
+    x: (3, L). The example is in columns ``begin`` to ``end`` of examples (3, C), and its diagonals are ``first``,
+    first + 1, ..., ``span`` of them, whose sums stand in sums from ``row`` on. A cell of -1 or beyond the strand
+    neither enters nor leaves.
+    """
+    cells = x.shape[1]
+    enters = 0 <= entering < cells
+    leaves = 0 <= leaving < cells
+    new = begin + entering + first
+    old = begin + leaving + first
+    if enters and leaves and old >= begin and new + span <= end:
+        a = x[0, entering]
+        b = x[1, entering]
+        c = x[2, entering]
+        a0 = x[0, leaving]
+        b0 = x[1, leaving]
+        c0 = x[2, leaving]
+        # Unsigned indices need no check for counting from the end, which would keep these loops scalar.
+        to = np.uintp(row)
+        at = np.uintp(new)
+        at0 = np.uintp(old)
+        for k in range(np.uintp(span)):
+            da = a - examples[0, at + k]
+            db = b - examples[1, at + k]
+            dc = c - examples[2, at + k]
+            da0 = a0 - examples[0, at0 + k]
+            db0 = b0 - examples[1, at0 + k]
+            dc0 = c0 - examples[2, at0 + k]
+            sums[to + k] += da * da + db * db + dc * dc - (da0 * da0 + db0 * db0 + dc0 * dc0)
+        return
+    if enters:
+        low = max(0, begin - new)
+        high = min(span, end - new)
+        if high > low:
+            a = x[0, entering]
+            b = x[1, entering]
+            c = x[2, entering]
+            to = np.uintp(row + low)
+            at = np.uintp(new + low)
+            for k in range(np.uintp(high - low)):
+                da = a - examples[0, at + k]
+                db = b - examples[1, at + k]
+                dc = c - examples[2, at + k]
+                sums[to + k] += da * da + db * db + dc * dc
+    if leaves:
+        low = max(0, begin - old)
+        high = min(span, end - old)
+        if high > low:
+            a = x[0, leaving]
+            b = x[1, leaving]
+            c = x[2, leaving]
+            to = np.uintp(row + low)
+            at = np.uintp(old + low)
+            for k in range(np.uintp(high - low)):
+                da = a - examples[0, at + k]
+                db = b - examples[1, at + k]
+                dc = c - examples[2, at + k]
+                sums[to + k] -= da * da + db * db + dc * dc
+
+
+@vector_kernel
+def _score(
+    sums: NDArray[np.float64],
+    begin: int,
+    end: int,
+    j: int,
+    length: int,
+    before: int,
+    after: int,
+    factor: float,
+    scores: NDArray[np.float64],
+) -> float:
+    """Fill ``scores`` from ``begin`` to ``end`` for patches around example cells j, j + 1, ...; return the largest.
+
+    A patch cut short by an end counts as a whole one with the same mean square: ``factor`` is that of a mean.
+    """
+    largest = NO_PATCH
+    left = float(before)
+    right = float(after)
+    row = np.uintp(begin)
+    first = float(j)
+    for k in range(np.uintp(end - begin)):
+        at = first + float(k)
+        score = factor * sums[row + k] / (min(left, at) + min(right, length - 1.0 - at) + 1.0)
+        scores[row + k] = score
+        largest = max(largest, score)
+    return largest
+
+
+@vector_kernel
+def _exponentials(scores: NDArray[np.float64], largest: float, weights: NDArray[np.float64]) -> float:
+    """Fill ``weights`` with exp(score - largest), negligible ones with 0, and return their sum.
+
+    exp(u) = exp(u / 256)^256, the inner one by its Taylor series: to 1e-8 of itself, in vector instructions.
+    """
+    total = 0.0
+    for k in range(scores.shape[0]):
+        u = scores[k] - largest
+        v = max(u, NEGLIGIBLE) / 256.0
+        w = 1.0 + v * (1.0 + v * (0.5 + v * (1.0 / 6.0 + v * (1.0 / 24.0 + v * (1.0 / 120.0 + v / 720.0)))))
+        w *= w
+        w *= w
+        w *= w
+        w *= w
+        w *= w
+        w *= w
+        w *= w
+        w *= w
+        w = w if u > NEGLIGIBLE else 0.0
+        weights[k] = w
+        total += w
+    return total
+
+
+@vector_kernel
+def _weighted_sums(
+    weights: NDArray[np.float64], begin: int, end: int, examples: NDArray[np.float64], column: int
+) -> tuple[float, float, float]:
+    """Sums of the examples' three values (3, C) from ``column`` on, weighted by ``weights`` from begin to end."""
+    s0 = 0.0
+    s1 = 0.0
+    s2 = 0.0
+    row = np.uintp(begin)
+    at = np.uintp(column)
+    for k in range(np.uintp(end - begin)):
+        w = weights[row + k]
+        s0 += w * examples[0, at + k]
+        s1 += w * examples[1, at + k]
+        s2 += w * examples[2, at + k]
+    return s0, s1, s2
 
 
 @kernel
@@ -81,51 +213,47 @@ def denoise_stretch(
     cells = x.shape[1]
     count = chosen.shape[0]
     span = 2 * window + 1
-    sums = np.zeros((count, span))  # squared distance of the patches, by example and diagonal
-    scores = np.empty((count, span))
+    # Flat, by example and diagonal: slices cost more than the few sums in each.
+    sums = np.zeros(count * span)  # squared distances of the patches
+    scores = np.empty(count * span)
+    weights = np.empty(count * span)
+    factor = -precision * (2 * half_width + 1)
     for i in range(begin, end):
-        largest = -np.inf
+        before = min(i, half_width)
+        after = min(cells - 1 - i, half_width)
+        scores[:] = NO_PATCH
+        largest = NO_PATCH
         for e in range(count):
             first = diagonals[e] - window
-            length = starts[chosen[e] + 1] - starts[chosen[e]]
-            y = examples[:, starts[chosen[e]] : starts[chosen[e]] + length]
-            # Cells that enter the patches, all of them at the first position, and the one that leaves.
-            for k in range(max(0, i - half_width) if i == begin else i + half_width, min(cells, i + half_width + 1)):
-                low = max(0, -(k + first))
-                high = min(span, length - (k + first))
-                if high > low:
-                    _add_distances(x, y, k, k + first + low, 1.0, sums[e, low:high])
-            k = i - half_width - 1
-            if i > begin and k >= 0:
-                low = max(0, -(k + first))
-                high = min(span, length - (k + first))
-                if high > low:
-                    _add_distances(x, y, k, k + first + low, -1.0, sums[e, low:high])
-            # A patch cut short by an end counts as a whole one with the same mean square.
-            before = min(i, half_width)
-            after = min(cells - 1 - i, half_width)
-            full = (2 * half_width + 1.0) * precision
-            for k in range(max(0, -(i + first)), min(span, length - (i + first))):
-                j = i + first + k
-                score = -sums[e, k] * full / (min(before, j) + min(after, length - 1 - j) + 1)
-                scores[e, k] = score
-                largest = max(largest, score)
-        total = 0.0
+            low = starts[chosen[e]]
+            high = starts[chosen[e] + 1]
+            row = e * span
+            if i == begin:
+                for k in range(i - before, i + after + 1):
+                    _add_distances(x, k, -1, examples, low, high, first, span, sums, row)
+            else:
+                _add_distances(x, i + half_width, i - half_width - 1, examples, low, high, first, span, sums, row)
+            j = i + first
+            from_k = max(0, -j)
+            to_k = min(span, high - low - j)
+            if to_k > from_k:
+                best = _score(sums, row + from_k, row + to_k, j + from_k, high - low, before, after, factor, scores)
+                largest = max(largest, best)
+        total = _exponentials(scores, largest, weights)
         mean0 = 0.0
         mean1 = 0.0
         mean2 = 0.0
         for e in range(count):
-            first = diagonals[e] - window
-            length = starts[chosen[e] + 1] - starts[chosen[e]]
-            column = starts[chosen[e]] + i + first
-            for k in range(max(0, -(i + first)), min(span, length - (i + first))):
-                score = scores[e, k] - largest
-                if score > NEGLIGIBLE:
-                    weight = np.exp(score)
-                    total += weight
-                    mean0 += weight * examples[0, column + k]
-                    mean1 += weight * examples[1, column + k]
-                    mean2 += weight * examples[2, column + k]
+            low = starts[chosen[e]]
+            j = i + diagonals[e] - window
+            from_k = max(0, -j)
+            to_k = min(span, starts[chosen[e] + 1] - low - j)
+            if to_k > from_k:
+                row = e * span
+                s0, s1, s2 = _weighted_sums(weights, row + from_k, row + to_k, examples, low + j + from_k)
+                mean0 += s0
+                mean1 += s1
+                mean2 += s2
         out[0, i] = mean0 / total
         out[1, i] = mean1 / total
         out[2, i] = mean2 / total

@@ -216,7 +216,7 @@ def _own_normals(curvature: NDArray[np.float64], least: float, per_segment: floa
         straight = 0
         longest = 0
         while i < m and not own[i]:
-            straight = straight + 1 if curvature[i] < least else 0
+            straight = straight + 1 if curvature[i] <= least else 0
             longest = max(longest, straight)
             i += 1
         if longest < per_segment:

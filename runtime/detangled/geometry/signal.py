@@ -76,16 +76,23 @@ def cumulated(
     The integrals of kappa, tau and 1 over arc length. Each interval adds the angle between its two tangents, and
     the angle about them between its two normals: the numerical differentiation of T and N that the paper allows.
     It keeps angles whole however narrow the event, stays finite where the speed vanishes, and rebuilds the strand
-    more closely than gamma'' and gamma''' do (benchmarks/fidelity.py).
+    more closely than gamma'' and gamma''' do (benchmarks/fidelity.py). Where the normal is not the curve's own, the
+    bending is the part towards it, which may be negative: rounding and ringing then cancel out.
     """
-    tangent, normal, _ = frames(first, second, step, per_segment, least_bend)
+    tangent, normal, own = frames(first, second, step, per_segment, least_bend)
     m = first.shape[0]
     total = np.zeros((m, 3))
     before = 0.0
     for i in range(m):
         speed = np.sqrt(first[i, 0] ** 2 + first[i, 1] ** 2 + first[i, 2] ** 2)
         if i > 0:
-            total[i, 0] = total[i - 1, 0] + bend_angle(tangent, i - 1)
+            bend = 0.0
+            if own[i - 1] or own[i]:
+                bend = bend_angle(tangent, i - 1)
+            else:
+                for c in range(3):
+                    bend += 0.5 * (normal[i - 1, c] + normal[i, c]) * (tangent[i, c] - tangent[i - 1, c])
+            total[i, 0] = total[i - 1, 0] + bend
             total[i, 1] = total[i - 1, 1] + twist_angle(tangent, normal, i - 1)
             total[i, 2] = total[i - 1, 2] + 0.5 * (before + speed) * step
         before = speed

@@ -4,6 +4,9 @@ Paper section "Differentiable Curves": per channel, an edge is the step sqrt(dx^
 at least three standard deviations longer than the mean offend; a Gaussian whose width follows the edge's length is
 applied around them, and again, until none offends.
 
+Edges are found channel by channel, but what one of them calls for is done to all channels alike: smoothing x more
+than y would turn derivatives out of the plane in which the strand bends, which is torsion it does not have.
+
 Unbounded, that rule blurs what the grid of cells still resolves: a lone step on an otherwise even channel offends
 until it has spread over a tenth of the strand. The blur spent on any one sample can therefore be bounded; the
 signal bounds it by the width of its cells, since their means cannot alias anything narrower.
