@@ -61,10 +61,13 @@ def test_turns_are_counted(turns: int) -> None:
     assert curl == pytest.approx(slope**2 / (slope**2 + 1), rel=0.02)
 
 
-def test_an_extended_helix_goes_on_as_a_helix() -> None:
-    whole = helix(0.4, 1.0, 10, 24)
-    extended = module._extend(np.ascontiguousarray(whole[30:-30]), 30)
-    np.testing.assert_allclose(extended, whole, atol=2e-2 * 0.4)
+@pytest.mark.parametrize(("per_turn", "allowed"), [(12, 0.15), (24, 0.03), (48, 0.005)])
+def test_an_extended_helix_goes_on_as_a_helix(per_turn: int, allowed: float) -> None:
+    whole = helix(0.4, 1.0, 10, per_turn)
+    extra = per_turn + 2
+    extended = module._extend(whole[extra:-extra].copy(), extra)
+    # The tangent at the end is a cubic's: the error falls with its third power.
+    np.testing.assert_allclose(extended, whole, atol=allowed * 0.4)
 
 
 def test_an_extended_line_goes_on_straight() -> None:
@@ -154,16 +157,17 @@ def test_the_optimiser_finds_the_minimum_of_lbfgs(which: tuple[str, float, float
     strand, unit = canonical_strand(*which)
     axis = optimise(strand, unit)
     found = objective_twin(axis.ravel(), strand, unit)[0]
-    reference = minimize(
-        objective_twin,
-        np.zeros(2 * len(strand)),
-        args=(strand, unit),
-        jac=True,
-        method="L-BFGS-B",
-        options={"maxiter": 20_000, "maxfun": 20_000, "ftol": 1e-13, "gtol": 1e-9},
-    )
-    assert found <= 1.01 * reference.fun
-    assert found >= 0.99 * reference.fun
+    # From the same start, and from where the optimiser stopped: nothing better there either.
+    for start in (np.zeros(2 * len(strand)), axis.ravel()):
+        reference = minimize(
+            objective_twin,
+            start,
+            args=(strand, unit),
+            jac=True,
+            method="L-BFGS-B",
+            options={"maxiter": 20_000, "maxfun": 20_000, "ftol": 1e-13, "gtol": 1e-9},
+        )
+        assert found <= 1.01 * reference.fun
 
 
 @pytest.mark.parametrize("strand", [np.zeros((70, 3)), np.linspace([0.0, 0, 0], [0, 0, -9], 70)], ids=["point", "axis"])

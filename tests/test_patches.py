@@ -72,7 +72,8 @@ def test_the_denoiser_is_the_naive_loop_over_patches(half_width: int, alpha: flo
     )
     for b in range(2):
         expected = naive_denoise(noisy[b], alpha, sigma, examples, bounds, chosen[b], diagonals[b], half_width, 7)
-        np.testing.assert_allclose(found[b], expected, rtol=0, atol=1e-9)
+        # Weights are exact to 1e-8 of themselves.
+        np.testing.assert_allclose(found[b], expected, rtol=0, atol=1e-7)
 
 
 def test_without_noise_an_example_is_its_own_prediction() -> None:
@@ -187,17 +188,22 @@ def test_few_examples_are_offered_at_several_places() -> None:
     assert all(len(set(row)) > 1 for row in diagonals.tolist())
 
 
-def test_every_cell_has_something_to_be_made_of() -> None:
-    """Among strands of very different lengths, some are shorter than a stretch."""
+def test_examples_shorter_than_a_stretch_leave_no_holes() -> None:
+    """Where all that is offered ends before the stretch does, there must still be numbers."""
     rng = np.random.default_rng(6)
-    lengths = np.concatenate([np.full(40, 16), np.full(41, 256)])
-    bounds = np.array([0, 128, 256])
-    for _ in range(50):
-        chosen, diagonals = plan_stretches(rng, lengths, 256, bounds, 3)
-        for k, (begin, end) in enumerate(zip(bounds[:-1], bounds[1:], strict=True)):
-            cells = np.arange(begin, end)[:, None] + diagonals[k]
-            reached = (cells >= -24) & (cells < lengths[chosen[k]] + 24)
-            assert reached.any(axis=1).all()
+    lengths = np.array([16, 16])
+    found = denoise_strands(
+        rng.standard_normal((1, 3, 256)),
+        0.7,
+        0.7,
+        rng.standard_normal((3, 32)),
+        np.array([0, 16, 32]),
+        np.array([0, 128, 256]),
+        *(plan[None] for plan in plan_stretches(rng, lengths, 256, np.array([0, 128, 256]), 4)),
+        half_width=9,
+        window=7,
+    )
+    np.testing.assert_array_equal(np.isfinite(found), True)
 
 
 # ---- steering

@@ -32,8 +32,10 @@ FEWEST_TURNS = 6.0
 CUT_MARGIN = 1.25
 # v is scaled until a strand is as long as it should be or this share longer; what is over is cut off its tip. The
 # axial length of a scaled strand scatters by a percent or two, so nothing finer would be reached by scaling alone.
+# After some rounds any strand that is long enough will do, and the others are scaled further and further beyond.
 MOST_CUT = 0.04
-MOST_ROUNDS = 8
+STRICT_ROUNDS = 3
+MOST_ROUNDS = 12
 LENGTH_TOLERANCE = 1e-3
 
 
@@ -197,7 +199,7 @@ def _make(
         goal = goals[todo]
         if options.length is Length.GUIDE:
             down = canonical[offsets[:-1], 2].repeat(np.diff(offsets)) - canonical[:, 2]
-            length = down[offsets[1:] - 1]
+            length = np.maximum.reduceat(down, offsets[:-1])
             canonical, offsets = cut(canonical, offsets, down, goal)
         own_guides = guide_groom.select(todo)
         angles = _angles(canonical[offsets[:-1]], roots[todo], turns[todo])
@@ -206,8 +208,9 @@ def _make(
             along = _arc_positions(world, offsets)
             length = along[offsets[1:] - 1]
             world, offsets = cut(world, offsets, along, goal)
-        ready = (length >= goal) & (short[todo] | (length <= (1.0 + MOST_CUT) * goal)) | (rounds == MOST_ROUNDS)
-        scale = np.clip((1.0 + 0.5 * MOST_CUT) * goal / np.maximum(length, 1e-12), 0.25, 4.0)
+        longest = np.where(short[todo] | (rounds > STRICT_ROUNDS), np.inf, (1.0 + MOST_CUT) * goal)
+        ready = (length >= goal) & (length <= longest) | (rounds == MOST_ROUNDS)
+        scale = np.clip((1.0 + 0.5 * MOST_CUT * rounds) * goal / np.maximum(length, 1e-12), 0.25, 4.0)
         reached[todo] = np.minimum(length / goal, 1.0)
         for k, index in enumerate(todo):
             if ready[k]:

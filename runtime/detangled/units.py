@@ -14,6 +14,8 @@ CM_PER_UNIT = {"mm": 0.1, "cm": 1.0, "dm": 10.0, "m": 100.0, "in": 2.54}
 # A groom spans a head or a swatch: its bounding box has a diagonal near this, within a factor of about three.
 TYPICAL_DIAGONAL_CM = 35.0
 GUESSED_UNITS = ("m", "cm", "mm")
+POINTS_TO_GUESS_FROM = 20_000
+STRAY_QUANTILES = (0.01, 0.99)
 
 _LENGTH = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Z]*)\s*")
 
@@ -21,28 +23,18 @@ _LENGTH = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Z
 def guess_unit(points: NDArray[np.floating]) -> str:
     """Name the unit in which ``points`` (P, 3) would be nearest to the size of a head of hair.
 
-    Points that are not finite are ignored. Without two distinct finite points the answer is ``"cm"``.
+    Decided by where most of the points lie, so that a few stray ones do not; those that are not finite are ignored.
+    Without two distinct finite points the answer is ``"cm"``.
     """
-    low, high = _bounds(points)
-    # Nearly always every point is finite: then nothing has to be picked out and copied.
-    if not np.isfinite([low, high]).all():
-        low, high = _bounds(points[np.isfinite(points).all(axis=1)])
+    sample = points[:: max(1, len(points) // POINTS_TO_GUESS_FROM)].astype(np.float64)
+    sample = sample[np.isfinite(sample).all(axis=1)]
+    if len(sample) == 0:
+        return "cm"
+    low, high = np.quantile(sample, STRAY_QUANTILES, axis=0)
     diagonal = float(np.linalg.norm(high - low))
     if diagonal == 0.0:
         return "cm"
     return min(GUESSED_UNITS, key=lambda name: abs(np.log(diagonal * CM_PER_UNIT[name] / TYPICAL_DIAGONAL_CM)))
-
-
-def _bounds(points: NDArray[np.floating]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """The lowest and highest coordinates, (3,) each; zeros where there is no point."""
-    if not len(points):
-        return np.zeros(3), np.zeros(3)
-    # Axis by axis: NumPy is slow to reduce a long array of short rows.
-    columns = [points[:, axis] for axis in range(3)]
-    return (
-        np.array([c.min() for c in columns], dtype=np.float64),
-        np.array([c.max() for c in columns], dtype=np.float64),
-    )
 
 
 def cm_per_unit(name: str) -> float:

@@ -26,7 +26,7 @@ FEWEST_SAMPLES = 64
 ENOUGH_SAMPLES = 512
 # The axis is smooth: it needs no more samples than this, and more would only slow the optimiser and spoil the
 # condition of its equations.
-SAMPLES_PER_TURN = 12
+SAMPLES_PER_TURN = 16
 FEWEST_FREQUENCIES, MOST_FREQUENCIES = 3, 8
 # Below so many swings about its lowest frequencies a strand has no curl to take away, and neither has one that
 # swings too weakly for its number of turns (sine squared of the helix' angle, times turns squared): those bends are
@@ -142,26 +142,47 @@ def _extend(canonical: NDArray[np.float64], extra: int) -> NDArray[np.float64]:
 
 @kernel
 def _end_normal(points: NDArray[np.float64], root: int, inward: int) -> tuple[float, float, float]:
-    """Unit normal of the cubic through the four points at an end; zero where it is straight there."""
+    """Unit normal at an end: turned on from the two points beside it, then made to stand on the tangent there.
+
+    The second differences of a helix point at its axis however coarse the sampling, and all turn alike. The tangent
+    is that of the cubic through four points: without it, the rough centreline's errors would leave a corner. Zero
+    where the end is straight.
+    """
     tangent = np.empty(3)
-    normal = np.empty(3)
+    bend1 = np.empty(3)
+    bend2 = np.empty(3)
     for c in range(3):
         p0 = points[root, c]
         p1 = points[root + inward, c]
         p2 = points[root + 2 * inward, c]
         p3 = points[root + 3 * inward, c]
-        tangent[c] = -11.0 * p0 + 18.0 * p1 - 9.0 * p2 + 2.0 * p3
-        normal[c] = 2.0 * p0 - 5.0 * p1 + 4.0 * p2 - p3
-    along = tangent[0] * normal[0] + tangent[1] * normal[1] + tangent[2] * normal[2]
-    size2 = tangent[0] ** 2 + tangent[1] ** 2 + tangent[2] ** 2
-    across2 = 0.0
-    for c in range(3):
-        normal[c] -= tangent[c] * along / size2
-        across2 += normal[c] ** 2
-    if not across2 > STRAIGHT * STRAIGHT * size2:
+        tangent[c] = (-11.0 * p0 + 18.0 * p1 - 9.0 * p2 + 2.0 * p3) / 6.0
+        bend1[c] = p0 - 2.0 * p1 + p2
+        bend2[c] = p1 - 2.0 * p2 + p3
+    least2 = (STRAIGHT * _norm(tangent)) ** 2
+    if not min(_norm(bend1) ** 2, _norm(bend2) ** 2) > least2:
         return 0.0, 0.0, 0.0
-    size = np.sqrt(across2)
+    both = _inner(bend1, bend2) / (_norm(bend1) * _norm(bend2))
+    normal = np.empty(3)
+    for c in range(3):
+        normal[c] = 2.0 * both * bend1[c] / _norm(bend1) - bend2[c] / _norm(bend2)
+    along = _inner(normal, tangent) / _inner(tangent, tangent)
+    for c in range(3):
+        normal[c] -= along * tangent[c]
+    size = _norm(normal)
+    if not size > STRAIGHT:
+        return 0.0, 0.0, 0.0
     return normal[0] / size, normal[1] / size, normal[2] / size
+
+
+@kernel
+def _inner(a: NDArray[np.float64], b: NDArray[np.float64]) -> float:
+    return a[0] * b[0] + a[1] * b[1] + a[2] * b[2]
+
+
+@kernel
+def _norm(a: NDArray[np.float64]) -> float:
+    return np.sqrt(_inner(a, a))
 
 
 @kernel

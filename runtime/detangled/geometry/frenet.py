@@ -137,10 +137,11 @@ def frames(
 
     Samples are ``step`` [cm] apart, ``per_segment`` of them between two points of the strand. A normal is the
     curve's own where the curvature is at least PARALLEL_RELATIVE of the curve's mean, such that all of the curve
-    would bend by ``least_bend`` [rad], and where it is not ringing beside a straight stretch. Between two stretches with
-    normals of their own, the normal turns evenly from one to the other, as seen from the tangent carried along;
-    before the first and after the last it is carried along unturned; on a curve with none, one arbitrary normal is
-    carried along all of it.
+    would bend by ``least_bend`` [rad], and where it is not ringing beside a straight stretch.
+
+    Between two stretches with normals of their own, the normal turns evenly from one to the other, as seen from the
+    tangent carried along; before the first and after the last it is carried along unturned; on a curve with none,
+    one arbitrary normal is carried along all of it.
     """
     m = first.shape[0]
     tangent = np.empty((m, 3))

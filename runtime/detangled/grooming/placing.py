@@ -16,8 +16,8 @@ from detangled.kernels import kernel, parallel_kernel, prange
 
 GUIDE_SAMPLES_PER_SEGMENT = 8
 FEWEST_GUIDE_SAMPLES, MOST_GUIDE_SAMPLES = 64, 4096
-# A new strand starts at the old root and swings out to its own distance from the guide over so much of its axis,
-# but within half of it.
+# A new strand starts at the old root and goes over to its own distance from the guide in so many radii (the new
+# strand's, or the old root's distance where that is more) along the axis, but within half of it.
 BLEND_RADII = 6.0
 BLEND_SHARE = 0.5
 
@@ -92,7 +92,8 @@ def _seat(canonical: NDArray[np.float64], root: NDArray[np.float64], angle: floa
         out[i, 1] = sine * canonical[i, 0] + cosine * canonical[i, 1]
         out[i, 2] = canonical[i, 2] - canonical[0, 2]
         size += np.sqrt(canonical[i, 0] ** 2 + canonical[i, 1] ** 2)
-    reach = min(BLEND_RADII * size / n, -BLEND_SHARE * out[n - 1, 2])
+    wide = max(size / n, np.sqrt(root[0] ** 2 + root[1] ** 2))
+    reach = min(BLEND_RADII * wide, -BLEND_SHARE * out[n - 1, 2])
     shift = root - out[0]
     for i in range(n):
         u = -out[i, 2] / reach if reach > 0.0 else 1.0

@@ -1,0 +1,237 @@
+"""What ``benchmarks/retexture.py`` measures: lengths on guides, axes, windings, likeness and distributions."""
+
+from __future__ import annotations
+
+from collections.abc import Iterator
+from dataclasses import dataclass
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+from scipy.spatial import cKDTree
+from scipy.stats import wasserstein_distance
+
+from detangled import Groom
+from detangled.diffusion.whitening import Whitening
+from detangled.geometry.arc import arc_lengths
+from detangled.geometry.canonical import guide_frames
+from detangled.geometry.centerline import centerlines
+from detangled.geometry.signal import signals
+from detangled.geometry.spline import chord_lengths, distinct_points, spline_sample, spline_slopes
+from detangled.grooming.guides import style_guides
+
+# A guide of 50 cm is then sampled every 0.25 mm: a hundredth of a turn.
+GUIDE_SAMPLES = 2000
+SHIFTS = 40  # cells by which two strands may be shifted to find where they are most alike
+LEAST_OVERLAP = 0.8
+SPLITS = 20
+FEWEST_CELLS = 8  # of a strand whose signal is looked at
+
+Floats = NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Canonical:
+    """Strands in canonical space: points (P, 3) [cm] and offsets (S + 1,)."""
+
+    points: Floats
+    offsets: NDArray[np.int64]
+
+    def strands(self) -> Iterator[Floats]:
+        for a, b in pairwise(self.offsets):
+            yield self.points[a:b]
+
+
+def rows(points: Floats, offsets: NDArray[np.int64]) -> Iterator[Floats]:
+    """Each strand's points, one after another."""
+    for a, b in pairwise(offsets):
+        yield points[a:b]
+
+
+def smooth(points: Floats, count: int = GUIDE_SAMPLES) -> Floats:
+    """The smooth curve through a guide's points at ``count`` even steps, (count + 1, 3)."""
+    knots = distinct_points(np.ascontiguousarray(points, dtype=np.float64))
+    t = chord_lengths(knots)
+    return spline_sample(t, knots, spline_slopes(t, knots), np.linspace(0.0, t[-1], count + 1))
+
+
+def tip_position(tip: Floats, guide: Floats) -> tuple[float, float]:
+    """Arc length s [cm] on a guide at which a tip lies, and the guide's own arc length.
+
+    That is (tip - G(s)) . T(s) = 0, the solution nearest to the guide's end; beyond it the guide goes straight on.
+    """
+    curve = smooth(guide)
+    along = chord_lengths(curve)
+    tangent = np.gradient(curve, axis=0, edge_order=2)
+    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
+    ahead = np.einsum("ij,ij->i", tip - curve, tangent)
+    if ahead[-1] >= 0.0:
+        return float(along[-1] + ahead[-1]), float(along[-1])
+    before = np.flatnonzero(ahead >= 0.0)
+    if len(before) == 0:
+        return float(ahead[0]), float(along[-1])
+    k = before[-1]
+    part = ahead[k] / (ahead[k] - ahead[k + 1])
+    return float(along[k] + part * (along[k + 1] - along[k])), float(along[-1])
+
+
+def guide_length_errors(groom: Groom, guides: Groom) -> Floats:
+    """How far tips lie beyond (+) or before (-) their guides' ends, over the guides' arc lengths, (S,).
+
+    What float32 coordinates cannot resolve is not counted: a combed-over hair may be a tenth of a millimetre long.
+    """
+    out = np.empty(groom.strand_count)
+    for i, (strand, guide) in enumerate(
+        zip(rows(groom.points, groom.offsets), rows(guides.points, guides.offsets), strict=True)
+    ):
+        s, length = tip_position(strand[-1], guide)
+        out[i] = _beyond_rounding(s - length, strand, groom.unit_cm) / length
+    return out
+
+
+def arc_length_errors(groom: Groom, old: Groom) -> Floats:
+    """New arc length over the old strand's, less one, (S,); float32 rounding of both ends is not counted."""
+    new, was = arc_lengths(groom.points, groom.offsets), arc_lengths(old.points, old.offsets)
+    missing = [
+        _beyond_rounding(a - b, s, groom.unit_cm)
+        for a, b, s in zip(new, was, rows(groom.points, groom.offsets), strict=True)
+    ]
+    return np.array(missing) / was
+
+
+def _beyond_rounding(difference: float, strand: Floats, unit_cm: float) -> float:
+    """A difference of lengths [cm] less what the two ends' coordinates in float32 may be off."""
+    step = float(np.spacing(np.float32(np.abs(strand).max() / unit_cm))) * unit_cm
+    return float(np.sign(difference) * max(abs(difference) - np.sqrt(3.0) * step, 0.0))
+
+
+def guide_distances(groom: Groom, guides: Groom) -> Floats:
+    """Median distance (S,) [cm] of the points of each strand's own guide, extracted anew, to its old guide."""
+    own = style_guides(groom)
+    out = np.full(groom.strand_count, np.nan)
+    for index, points in zip(own.kept, rows(own.points, own.groom.offsets), strict=True):
+        out[index] = np.median(cKDTree(smooth(guides.strand(index))).query(points)[0])
+    return out
+
+
+def own_axis(groom: Groom) -> Canonical:
+    """The strands in the canonical space of their own guides, extracted anew."""
+    guides = style_guides(groom)
+    if len(guides.kept) != groom.strand_count:
+        raise ValueError(f"{groom.strand_count - len(guides.kept)} strands cannot be measured")
+    return Canonical(guides.canonical(), guides.groom.offsets)
+
+
+def given_axis(groom: Groom, guides: Groom) -> Canonical:
+    """The strands in the canonical space of given guides: each point in the frame of the guide's nearest point."""
+    out = np.empty_like(groom.points)
+    for i in range(groom.strand_count):
+        strand = groom.strand(i)
+        curve = smooth(guides.strand(i))
+        # Straight on beyond both ends, as far as the strand may reach.
+        beyond = 1.0 + np.ptp(strand, axis=0).max()
+        first, last = curve[0] - curve[1], curve[-1] - curve[-2]
+        steps = np.linspace(0.0, beyond, 100)[1:, None]
+        curve = np.concatenate(
+            [
+                curve[0] + first / np.linalg.norm(first) * steps[::-1],
+                curve,
+                curve[-1] + last / np.linalg.norm(last) * steps,
+            ]
+        )
+        nearest = cKDTree(curve).query(strand)[1]
+        ahead = np.minimum(nearest + 1, len(curve) - 1)
+        forward = np.einsum("ij,ij->i", strand - curve[nearest], curve[ahead] - curve[nearest]) >= 0.0
+        k = np.clip(np.where(forward, nearest, nearest - 1), 0, len(curve) - 2)
+        here = np.einsum("ijk,ik->ij", guide_frames(curve)[k], strand - curve[k])
+        here[:, 2] -= chord_lengths(curve)[k] - beyond
+        out[groom.offsets[i] : groom.offsets[i + 1]] = here
+    return Canonical(out, groom.offsets)
+
+
+def mixed(first: Canonical, second: Canonical, use_first: NDArray[np.bool_]) -> Canonical:
+    """Strands of the first where ``use_first`` (S,) says so, else of the second; both have the same point counts."""
+    chosen = np.repeat(use_first, np.diff(first.offsets))[:, None]
+    return Canonical(np.where(chosen, first.points, second.points), first.offsets)
+
+
+def strand_signals(canonical: Canonical, cell_width: float) -> list[Floats]:
+    """kappa, tau, v (L, 3) of each strand on cells of one width [cm]."""
+    arcs = arc_lengths(canonical.points, canonical.offsets)
+    cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), FEWEST_CELLS)
+    starts = np.concatenate([[0], np.cumsum(cells)])
+    return list(rows(signals(canonical.points, canonical.offsets, starts), starts))
+
+
+def wander(points: Floats, offsets: NDArray[np.int64]) -> Floats:
+    """Arc length of each strand's centreline over the distance of its ends, (S,)."""
+    axes, _ = centerlines(points, offsets)
+    chords = np.linalg.norm(axes[offsets[1:] - 1] - axes[offsets[:-1]], axis=1)
+    return arc_lengths(axes, offsets) / chords
+
+
+def wasserstein(a: list[Floats], b: list[Floats]) -> tuple[float, float]:
+    """Wasserstein-1 distance [1/cm] between the pooled kappa, and between the pooled |tau|, of two sets of signals."""
+    x, y = np.concatenate(a), np.concatenate(b)
+    return (
+        float(wasserstein_distance(x[:, 0], y[:, 0])),
+        float(wasserstein_distance(np.abs(x[:, 1]), np.abs(y[:, 1]))),
+    )
+
+
+def wasserstein_floor(real: list[Floats], rng: np.random.Generator) -> tuple[float, float]:
+    """The distances between two random halves of real strands, medians over splits."""
+    found = []
+    for _ in range(SPLITS):
+        order = rng.permutation(len(real))
+        half = len(real) // 2
+        found.append(wasserstein([real[i] for i in order[:half]], [real[i] for i in order[half:]]))
+    kappa, tau = np.median(found, axis=0)
+    return float(kappa), float(tau)
+
+
+@dataclass(frozen=True)
+class Windows:
+    """Windows of whitened kappa and tau, (W, 2, L), and the strand each is from, (W,)."""
+
+    values: Floats
+    strand: NDArray[np.int64]
+
+    def one_a_strand(self, count: int, rng: np.random.Generator) -> Windows:
+        """One window of each of at most ``count`` strands, at random."""
+        order = rng.permutation(len(self.strand))
+        _, first = np.unique(self.strand[order], return_index=True)
+        chosen = rng.permutation(order[first])[:count]
+        return Windows(self.values[chosen], self.strand[chosen])
+
+
+def windows(values: list[Floats], whitening: Whitening, length: int) -> Windows:
+    """All strands of at least ``length`` cells, cut into windows of that many cells, the last one up to the tip."""
+    found, strand = [], []
+    for i, signal in enumerate(values):
+        if len(signal) < length:
+            continue
+        channels = whitening.whiten(signal)[:2]
+        ends = [*range(length, len(signal), length), len(signal)]
+        found += [channels[:, end - length : end] for end in ends]
+        strand += [i] * len(ends)
+    return Windows(np.array(found).reshape(-1, 2, length), np.array(strand, dtype=np.int64))
+
+
+def nearest(some: Windows, others: Windows, same_set: bool) -> Floats:
+    """Distance (W,) of each window to the one most like it among the others, of another strand in the same set.
+
+    The root mean square over cells of the whitened kappa and tau, least over shifts of at most SHIFTS cells that
+    leave LEAST_OVERLAP of the windows in common.
+    """
+    length = some.values.shape[2]
+    shifts = min(SHIFTS, int((1.0 - LEAST_OVERLAP) * length))
+    least = np.full((len(some.strand), len(others.strand)), np.inf)
+    for shift in range(-shifts, shifts + 1):
+        a = some.values[:, :, max(shift, 0) : length + min(shift, 0)].reshape(len(some.strand), -1)
+        b = others.values[:, :, max(-shift, 0) : length + min(-shift, 0)].reshape(len(others.strand), -1)
+        squares = (a**2).sum(axis=1)[:, None] + (b**2).sum(axis=1) - 2.0 * a @ b.T
+        np.minimum(least, squares / (length - abs(shift)), out=least)
+    if same_set:
+        least[some.strand[:, None] == others.strand] = np.inf
+    return np.sqrt(np.maximum(least.min(axis=1), 0.0))

@@ -1,0 +1,337 @@
+"""How good retextured grooms are: a few strands' texture on four real grooms, measured on the files written.
+
+python benchmarks/retexture.py [--jobs eve,bob,combover,straight] [--every N | --full] [--seed N]
+
+eve, bob and combover take the texture of coily_swatch.obj; straight is coily_swatch.obj with the texture of two long
+strands of eve. Each job reads, fits, retextures, writes, and reads the file back. Printed is one row a measure and
+one column a job, each value with ok or FAIL where the measure has a bound; the exit status is 1 where one fails. The
+grooms are looked for in DETANGLED_GROOMS, else in shared/grooms beside the repository.
+
+Straight strands (targets whose radius is below 0.02 cm) have no wavelength and no torsion, and are all alike; what is
+measured in radii is then measured in units of 0.02 cm, and radii are compared absolutely.
+"""
+
+from __future__ import annotations
+
+import argparse
+import os
+import resource
+import sys
+import tempfile
+import time
+from dataclasses import dataclass, field
+from pathlib import Path
+
+import numpy as np
+
+import detangled
+import measures
+from detangled import Groom, Length, Options
+from detangled.fitted import FittedTexture
+from detangled.geometry.signal import curve_counts, curves
+from detangled.geometry.winding import winding
+from detangled.grooming.guides import style_guides
+from detangled.retexturing import CUT_MARGIN, FEWEST_TURNS
+from detangled.synthesis import synthesise
+from detangled.units import CM_PER_UNIT
+
+GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parents[2] / "shared" / "grooms"))
+
+EVERY = {"eve": 10, "bob": 3, "combover": 100, "straight": 2}  # strands measured by default: every so many
+SAMPLE = 48  # strands of the measures that compare all with all, and of the second fit
+LENGTH_BOUND = 1e-3
+GUIDE_BOUND = 1.0  # target radii
+TEXTURE_BOUND = 0.2
+WASSERSTEIN_BOUND = 2.0
+WANDER_BOUND = 1.15
+ALIKE_BOUND = 0.5  # of the least distance between two targets
+ALIKE_LEAST = 0.05
+STRAIGHT_RADIUS = 0.02  # [cm] two hairs' widths
+# An even 0.01/cm bows a strand of 12 cm by 0.2 cm.
+LEAST_CURVATURE = 0.01  # [1/cm]
+# Shorter strands have too few turns for an axis of their own: it is taken from the input.
+FEWEST_WAVELENGTHS = 6.0
+
+
+@dataclass
+class Column:
+    """One job's values: measure -> (text, whether it is within the bound, None where there is none)."""
+
+    name: str
+    cells: dict[str, tuple[str, bool | None]] = field(default_factory=dict)
+
+    def put(self, measure: str, text: str, ok: bool | None = None) -> None:
+        self.cells[measure] = (text, None if ok is None else bool(ok))
+
+
+@dataclass(frozen=True)
+class Job:
+    """Input strands and targets as they were read, a folder for files, and the strands' seed."""
+
+    name: str
+    groom: Groom
+    targets: Groom
+    folder: Path
+    suffix: str
+    seed: int
+
+    def retextured(self, groom: Groom, texture: FittedTexture, length: Length, column: Column | None = None) -> Groom:
+        """Retexture, write, and read the file again."""
+        path = self.folder / f"{self.name}{self.suffix}"
+        began = time.perf_counter()
+        result = detangled.retexture(groom, texture, Options(length, seed=self.seed))
+        made = time.perf_counter()
+        detangled.write(result.groom, path)
+        wrote = time.perf_counter()
+        read = detangled.read(path, unit=_unit_name(groom))
+        if column is not None:
+            column.put("seconds: retexture", f"{made - began:.1f}")
+            column.put("seconds: write, read", f"{wrote - made:.2f}, {time.perf_counter() - wrote:.2f}")
+            column.put("points written", f"{len(read.points)}")
+            column.put("peak memory so far [MB]", f"{_peak_megabytes():.0f}")
+        return read
+
+
+def _unit_name(groom: Groom) -> str:
+    return next(name for name, cm in CM_PER_UNIT.items() if cm == groom.unit_cm)
+
+
+def _peak_megabytes() -> float:
+    peak = resource.getrusage(resource.RUSAGE_SELF).ru_maxrss
+    return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
+
+
+def prepare(name: str, every: int, seed: int, folder: Path, column: Column) -> Job:
+    """Read a job's files; every so many strands of its input."""
+    swatch = GROOMS / "coily_swatch.obj"
+    source = swatch if name == "straight" else GROOMS / f"{name}.abc"
+    target = swatch
+    if name == "straight":
+        eve = detangled.read(GROOMS / "eve.abc")
+        chosen = np.argsort(-eve.polyline_lengths(), kind="stable")[[0, eve.strand_count // 4]]
+        target = folder / "two_straight.obj"
+        detangled.write(eve.select(np.sort(chosen)), target)
+    began = time.perf_counter()
+    groom = detangled.read(source)
+    targets = detangled.read(target, unit="m" if name == "straight" else None)
+    column.put("seconds: read", f"{time.perf_counter() - began:.2f}")
+    groom = groom.select(np.arange(0, groom.strand_count, every))
+    return Job(name, groom, targets, folder, source.suffix, seed)
+
+
+def measure(job: Job, column: Column) -> None:
+    """Run a job and fill its column."""
+    rng = np.random.default_rng(job.seed)
+    began = time.perf_counter()
+    texture = detangled.fit(job.targets)
+    column.put("seconds: fit", f"{time.perf_counter() - began:.2f}")
+    usable = style_guides(job.groom)
+    groom, guides = usable.groom, usable.as_groom()
+    column.put("strands (of them with under 6 turns)", f"{groom.strand_count}")
+
+    new = job.retextured(groom, texture, Length.GUIDE, column)
+    straight = texture.radius < STRAIGHT_RADIUS
+    roots(new, groom, column)
+    lengths(job, texture, new, groom, guides, column)
+
+    unit = max(texture.radius, STRAIGHT_RADIUS)
+    distance = np.nanmedian(measures.guide_distances(new, guides)) / unit
+    put(column, f"guides from the input's, median [radii, at least {STRAIGHT_RADIUS} cm]", distance, GUIDE_BOUND)
+
+    long = np.full(groom.strand_count, True) if straight else usable.lengths >= FEWEST_WAVELENGTHS * texture.wavelength
+    column.put("strands (of them with under 6 turns)", f"{groom.strand_count} ({np.count_nonzero(~long)})")
+    own, given = measures.own_axis(new), measures.given_axis(new, guides)
+    windings(own, given, long, measures.own_axis(job.targets), straight, column)
+
+    real = measures.strand_signals(measures.own_axis(job.targets), texture.cell_width)
+    made = measures.strand_signals(measures.mixed(own, given, long), texture.cell_width)
+    likeness(made, real, texture, straight, rng, column)
+    distributions(job, groom, guides, long, made, real, straight, rng, column)
+    axis_wander(texture, usable.lengths, job.seed, rng, column)
+
+
+def put(column: Column, name: str, value: float, bound: float, text: str | None = None) -> None:
+    """A value that must not be above a bound."""
+    column.put(f"{name} <= {bound:g}", text or f"{value:.3g}", value <= bound)
+
+
+def roots(new: Groom, groom: Groom, column: Column) -> None:
+    """Roots must be what they were, to the bit of the file's float32."""
+    old = groom.points[groom.offsets[:-1]]
+    now = new.points[new.offsets[:-1]]
+    same = np.array_equal((old / groom.unit_cm).astype(np.float32), (now / new.unit_cm).astype(np.float32))
+    away = np.linalg.norm(old - now, axis=1).max()
+    column.put("roots moved, most [cm] = 0 in float32", f"{away:.2g}", same and new.strand_count == groom.strand_count)
+
+
+def lengths(job: Job, texture: FittedTexture, new: Groom, groom: Groom, guides: Groom, column: Column) -> None:
+    errors = np.abs(measures.guide_length_errors(new, guides))
+    text = f"{errors.max():.2%}, {np.percentile(errors, 99.9):.2%}"
+    put(column, "--length guide: worst, 99.9 %", float(errors.max()), LENGTH_BOUND, text)
+    arcs = job.retextured(groom, texture, Length.STRAND)
+    errors = np.abs(measures.arc_length_errors(arcs, groom))
+    text = f"{errors.max():.2%}, {np.percentile(errors, 99.9):.2%}"
+    put(column, "--length strand: worst, 99.9 %", float(errors.max()), LENGTH_BOUND, text)
+
+
+def windings(
+    own: measures.Canonical,
+    given: measures.Canonical,
+    long: np.ndarray,
+    targets: measures.Canonical,
+    straight: bool,
+    column: Column,
+) -> None:
+    """Radius and wavelength by winding: about the strand's own axis if long, about the input's guide if short."""
+    radius, wavelength = winding(targets.points, targets.offsets)
+    wanted = (float(np.median(radius)), float("nan") if straight else float(np.nanmedian(wavelength)))
+    column.put("targets: radius, wavelength [cm]", f"{wanted[0]:.3g}, {wanted[1]:.3g}")
+    for axis, canonical, judged in (("own axis", own, long), ("input's guide", given, ~long)):
+        which = "6 turns or more" if axis == "own axis" else "under 6 turns"
+        found = winding(canonical.points, canonical.offsets)
+        for what, values, want in zip(("radius", "wavelength"), found, wanted, strict=True):
+            everyone = float(np.nanmedian(values)) if np.isfinite(values).any() else float("nan")
+            column.put(f"  {what} about the {axis}, all [cm]", f"{everyone:.3g}")
+            name = f"{what} about the {axis}, {which}: off"
+            if not judged.any() or (straight and what == "wavelength"):
+                column.put(f"{name} <= {TEXTURE_BOUND:g}", "-")
+                continue
+            off = float(np.nanmedian(values[judged])) - want
+            if straight:
+                text = f"{off:.3g} cm (<= {STRAIGHT_RADIUS})"
+                column.put(f"{name} <= {TEXTURE_BOUND:g}", text, abs(off) <= STRAIGHT_RADIUS)
+            else:
+                put(column, name, abs(off) / want, TEXTURE_BOUND, f"{off / want:+.1%}")
+
+
+def likeness(
+    made: list[np.ndarray],
+    real: list[np.ndarray],
+    texture: FittedTexture,
+    straight: bool,
+    rng: np.random.Generator,
+    column: Column,
+) -> None:
+    """No two strands alike, none a copy: distances of windows as long as the shortest target or the median strand."""
+    length = int(min(min(len(s) for s in real), np.median([len(s) for s in made])))
+    targets = measures.windows(real, texture.whitening, length)
+    new = measures.windows(made, texture.whitening, length)
+    some_targets, some = targets.one_a_strand(SAMPLE, rng), new.one_a_strand(SAMPLE, rng)
+    floor = measures.nearest(some_targets, targets, True)
+    column.put("  windows compared: cells, new, targets", f"{length}, {len(some.strand)}, {len(targets.strand)}")
+    column.put("  target to target: least, median", f"{floor.min():.2f}, {np.median(floor):.2f}")
+    bound = max(ALIKE_BOUND * float(floor.min()), ALIKE_LEAST)
+    for name, distances in (
+        ("new to target", measures.nearest(some, targets, False)),
+        ("new to new", measures.nearest(some, new, True)),
+    ):
+        # Straight strands are all alike.
+        ok = None if straight else float(distances.min()) >= bound
+        text = f"{distances.min():.2f}, {np.median(distances):.2f}"
+        column.put(f"{name}: least, median >= half of target to target", text, ok)
+
+
+def distributions(
+    job: Job,
+    groom: Groom,
+    guides: Groom,
+    long: np.ndarray,
+    made: list[np.ndarray],
+    real: list[np.ndarray],
+    straight: bool,
+    rng: np.random.Generator,
+    column: Column,
+) -> None:
+    """Wasserstein-1 of kappa and |tau| to targets that the fit has not seen, and of the whole fit to all of them."""
+    kinds = ("kappa",) if straight else ("kappa", "|tau|")
+    floor = [max(f, LEAST_CURVATURE) for f in measures.wasserstein_floor(real, rng)]
+    column.put("  halves of the targets: W1 of kappa, |tau| [1/cm]", ", ".join(f"{f:.3f}" for f in floor[: len(kinds)]))
+    order = rng.permutation(len(real))
+    seen, held_out = np.sort(order[: len(real) // 2]), order[len(real) // 2 :]
+    half = detangled.fit(job.targets.select(seen))
+    chosen = np.sort(rng.permutation(groom.strand_count)[:SAMPLE])
+    few, few_guides = groom.select(chosen), guides.select(chosen)
+    new = job.retextured(few, half, Length.GUIDE)
+    canonical = measures.mixed(measures.own_axis(new), measures.given_axis(new, few_guides), long[chosen])
+    # Cells of one width: wider ones would smooth more.
+    width = real[0][:, 2].mean() / len(real[0])
+    found = measures.strand_signals(canonical, float(width))
+    for name, distances in (
+        ("to held-out targets", measures.wasserstein(found, [real[i] for i in held_out])),
+        ("to all targets", measures.wasserstein(made, real)),
+    ):
+        for kind, value, least in zip(kinds, distances, floor, strict=False):
+            text = f"{value / least:.2f} ({value:.3f}/cm)"
+            if name == "to all targets":
+                column.put(f"  W1 of {kind} {name} [halves of the targets]", text)
+            else:
+                put(column, f"W1 of {kind} {name} [halves of the targets]", value / least, WASSERSTEIN_BOUND, text)
+
+
+def axis_wander(
+    texture: FittedTexture, guide_lengths: np.ndarray, seed: int, rng: np.random.Generator, column: Column
+) -> None:
+    """Centreline arc over chord of strands as they are synthesised, before any guide, against the targets' rebuilt."""
+    chosen = np.sort(rng.permutation(len(guide_lengths))[:SAMPLE])
+    least = CUT_MARGIN * FEWEST_TURNS * texture.turn if texture.median_arc > FEWEST_TURNS * texture.turn else 0.0
+    arcs = np.maximum(guide_lengths[chosen] * texture.arc_per_axis, least)
+    made = synthesise(texture, arcs, chosen.astype(np.int64), seed)
+    found = []
+    for values, starts in ((texture.signals, texture.starts), made):
+        offsets = np.concatenate([[0], np.cumsum(curve_counts(values, starts))])
+        found.append(measures.wander(curves(values, starts, offsets), offsets))
+    target, new = (np.percentile(w, [50, 90]) for w in found)
+    column.put("  targets' axis wander: median, 90 %", f"{target[0]:.3f}, {target[1]:.3f}")
+    text = f"{new[0] / target[0]:.3f}, {new[1] / target[0]:.3f}"
+    put(column, "axis wander over the targets' median: median, 90 %", new[0] / target[0], WANDER_BOUND, text)
+
+
+def table(columns: list[Column]) -> str:
+    names = list(dict.fromkeys(name for column in columns for name in column.cells))
+    lines = [["", *(column.name for column in columns)]]
+    for name in names:
+        line = [name]
+        for column in columns:
+            text, ok = column.cells.get(name, ("-", None))
+            line.append(text if ok is None else f"{text} {'ok' if ok else 'FAIL'}")
+        lines.append(line)
+    widths = [max(len(line[c]) for line in lines) for c in range(len(lines[0]))]
+    return "\n".join("  ".join(text.ljust(width) for text, width in zip(line, widths, strict=True)) for line in lines)
+
+
+def warm_up() -> None:
+    """Compile, or load what was compiled, so that seconds are the work's own."""
+    swatch = detangled.read(GROOMS / "coily_swatch.obj").select([0, 1, 2])
+    texture = detangled.fit(swatch)
+    for length in Length:
+        detangled.retexture(swatch, texture, Options(length))
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("--jobs", default=",".join(EVERY), help=f"default: {','.join(EVERY)}")
+    parser.add_argument("--every", type=int, help="use every N-th strand; default: " + str(EVERY))
+    parser.add_argument("--full", action="store_true", help="use every strand")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    jobs = options.jobs.split(",")
+    if unknown := set(jobs) - set(EVERY):
+        parser.error(f"no such job: {', '.join(sorted(unknown))}; these are: {', '.join(EVERY)}")
+
+    warm_up()
+    columns = []
+    for name in jobs:
+        every = 1 if options.full else options.every or EVERY[name]
+        column = Column(f"{name} (every {every})" if every > 1 else name)
+        began = time.perf_counter()
+        with tempfile.TemporaryDirectory() as folder:
+            measure(prepare(name, every, options.seed, Path(folder), column), column)
+        column.put("seconds: all, with measuring", f"{time.perf_counter() - began:.0f}")
+        columns.append(column)
+        print(f"{name}: done", file=sys.stderr)
+    print(table(columns))
+    return int(any(ok is False for column in columns for _, ok in column.cells.values()))
+
+
+if __name__ == "__main__":
+    sys.exit(main())
