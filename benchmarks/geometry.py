@@ -12,7 +12,12 @@ Gaussian, so that torsion differs by some per cent at the ends and wherever an e
 from __future__ import annotations
 
 import argparse
+import os
 import time
+
+# On vectors as short as a strand, the threads of the twin's linear algebra only wait for each other.
+os.environ.setdefault("OPENBLAS_NUM_THREADS", "1")
+os.environ.setdefault("MKL_NUM_THREADS", "1")
 
 import numba
 import numpy as np

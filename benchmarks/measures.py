@@ -105,13 +105,26 @@ def _beyond_rounding(difference: float, strand: Floats, unit_cm: float) -> float
     return float(np.sign(difference) * max(abs(difference) - np.sqrt(3.0) * step, 0.0))
 
 
-def guide_distances(groom: Groom, guides: Groom) -> Floats:
-    """Median distance (S,) [cm] of the points of each strand's own guide, extracted anew, to its old guide."""
-    own = style_guides(groom)
-    out = np.full(groom.strand_count, np.nan)
-    for index, points in zip(own.kept, rows(own.points, own.groom.offsets), strict=True):
-        out[index] = np.median(cKDTree(smooth(guides.strand(index))).query(points)[0])
-    return out
+def distances(groom: Groom, guides: Groom) -> Floats:
+    """Median distance (S,) [cm] of each strand's points to its guide."""
+    return np.array(
+        [
+            np.median(cKDTree(smooth(guide)).query(strand)[0])
+            for strand, guide in zip(
+                rows(groom.points, groom.offsets), rows(guides.points, guides.offsets), strict=True
+            )
+        ]
+    )
+
+
+def refined(groom: Groom, step: float) -> Groom:
+    """The same strands, at points at most ``step`` [cm] apart on average."""
+    usable = style_guides(groom).groom
+    counts = np.ceil(arc_lengths(usable.points, usable.offsets) / step).astype(np.int64)
+    strands = rows(usable.points, usable.offsets)
+    return Groom.from_strands(
+        smooth(strand, max(int(count), len(strand) - 1)) for strand, count in zip(strands, counts, strict=True)
+    )
 
 
 def own_axis(groom: Groom) -> Canonical:
@@ -147,6 +160,11 @@ def given_axis(groom: Groom, guides: Groom) -> Canonical:
         here[:, 2] -= chord_lengths(curve)[k] - beyond
         out[groom.offsets[i] : groom.offsets[i + 1]] = here
     return Canonical(out, groom.offsets)
+
+
+def middle_radius(canonical: Canonical) -> Floats:
+    """Median distance (S,) [cm] of each strand's points to the axis."""
+    return np.array([np.median(np.hypot(strand[:, 0], strand[:, 1])) for strand in canonical.strands()])
 
 
 def mixed(first: Canonical, second: Canonical, use_first: NDArray[np.bool_]) -> Canonical:

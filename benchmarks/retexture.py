@@ -7,8 +7,13 @@ strands of eve. Each job reads, fits, retextures, writes, and reads the file bac
 one column a job, each value with ok or FAIL where the measure has a bound; the exit status is 1 where one fails. The
 grooms are looked for in DETANGLED_GROOMS, else in shared/grooms beside the repository.
 
-Straight strands (targets whose radius is below 0.02 cm) have no wavelength and no torsion, and are all alike; what is
-measured in radii is then measured in units of 0.02 cm, and radii are compared absolutely.
+Targets are measured with as many points a turn as the result has: centrelines, and so torsion in canonical space,
+depend on it. Strands are measured about their own axis, extracted anew from the file; those of fewer than 6 turns
+(wavelengths on their guide), which are too short for that, about the input's guide.
+
+Straight strands (targets whose radius is below 0.02 cm) have no wavelength and no torsion, and are all alike. With
+them a strand is its own style guide: its distance from the input's guide is bounded by 0.02 cm instead of a radius,
+and so is its radius about that guide.
 """
 
 from __future__ import annotations
@@ -31,7 +36,7 @@ from detangled.fitted import FittedTexture
 from detangled.geometry.signal import curve_counts, curves
 from detangled.geometry.winding import winding
 from detangled.grooming.guides import style_guides
-from detangled.retexturing import CUT_MARGIN, FEWEST_TURNS
+from detangled.retexturing import CUT_MARGIN, FEWEST_TURNS, POINTS_PER_TURN
 from detangled.synthesis import synthesise
 from detangled.units import CM_PER_UNIT
 
@@ -49,7 +54,6 @@ ALIKE_LEAST = 0.05
 STRAIGHT_RADIUS = 0.02  # [cm] two hairs' widths
 # An even 0.01/cm bows a strand of 12 cm by 0.2 cm.
 LEAST_CURVATURE = 0.01  # [1/cm]
-# Shorter strands have too few turns for an axis of their own: it is taken from the input.
 FEWEST_WAVELENGTHS = 6.0
 
 
@@ -135,18 +139,26 @@ def measure(job: Job, column: Column) -> None:
     lengths(job, texture, new, groom, guides, column)
 
     unit = max(texture.radius, STRAIGHT_RADIUS)
-    distance = np.nanmedian(measures.guide_distances(new, guides)) / unit
-    put(column, f"guides from the input's, median [radii, at least {STRAIGHT_RADIUS} cm]", distance, GUIDE_BOUND)
+    extracted = style_guides(new).as_groom()
+    found = [float(np.median(measures.distances(g, guides))) / unit for g in (extracted, new)]
+    put(column, "guides from the input's, median [radii, or 0.02 cm]", found[1 if straight else 0], GUIDE_BOUND)
+    column.put("  the same, extracted anew", f"{found[0]:.3g}")
 
-    long = np.full(groom.strand_count, True) if straight else usable.lengths >= FEWEST_WAVELENGTHS * texture.wavelength
+    # A straight strand has no axis but the guide.
+    long = np.full(groom.strand_count, not straight)
+    if not straight:
+        long = usable.lengths >= FEWEST_WAVELENGTHS * texture.wavelength
     column.put("strands (of them with under 6 turns)", f"{groom.strand_count} ({np.count_nonzero(~long)})")
     own, given = measures.own_axis(new), measures.given_axis(new, guides)
-    windings(own, given, long, measures.own_axis(job.targets), straight, column)
+    targets = measures.refined(job.targets, texture.turn / POINTS_PER_TURN)
+    aims = measures.own_axis(targets)
+    windings(own, given, long, aims, straight, column)
 
-    real = measures.strand_signals(measures.own_axis(job.targets), texture.cell_width)
+    real = measures.strand_signals(aims, texture.cell_width)
     made = measures.strand_signals(measures.mixed(own, given, long), texture.cell_width)
     likeness(made, real, texture, straight, rng, column)
     distributions(job, groom, guides, long, made, real, straight, rng, column)
+    in_world(new, targets, texture.cell_width, column)
     axis_wander(texture, usable.lengths, job.seed, rng, column)
 
 
@@ -189,6 +201,9 @@ def windings(
     for axis, canonical, judged in (("own axis", own, long), ("input's guide", given, ~long)):
         which = "6 turns or more" if axis == "own axis" else "under 6 turns"
         found = winding(canonical.points, canonical.offsets)
+        if straight:
+            # The median along a strand: its beginning leads from a root that stays where the curly strand had it.
+            found = (measures.middle_radius(canonical), found[1])
         for what, values, want in zip(("radius", "wavelength"), found, wanted, strict=True):
             everyone = float(np.nanmedian(values)) if np.isfinite(values).any() else float("nan")
             column.put(f"  {what} about the {axis}, all [cm]", f"{everyone:.3g}")
@@ -198,7 +213,7 @@ def windings(
                 continue
             off = float(np.nanmedian(values[judged])) - want
             if straight:
-                text = f"{off:.3g} cm (<= {STRAIGHT_RADIUS})"
+                text = f"{off:.2g} cm (<= {STRAIGHT_RADIUS})"
                 column.put(f"{name} <= {TEXTURE_BOUND:g}", text, abs(off) <= STRAIGHT_RADIUS)
             else:
                 put(column, name, abs(off) / want, TEXTURE_BOUND, f"{off / want:+.1%}")
@@ -266,6 +281,17 @@ def distributions(
                 column.put(f"  W1 of {kind} {name} [halves of the targets]", text)
             else:
                 put(column, f"W1 of {kind} {name} [halves of the targets]", value / least, WASSERSTEIN_BOUND, text)
+
+
+def in_world(new: Groom, targets: Groom, cell_width: float, column: Column) -> None:
+    """Curvature and torsion as the strands lie, style and all: no axis has to be found for them."""
+    for kind, channel in (("kappa", 0), ("|tau|", 1)):
+        texts = []
+        for groom in (new, targets):
+            found = measures.strand_signals(measures.Canonical(groom.points, groom.offsets), cell_width)
+            low, high = np.percentile(np.abs(np.concatenate(found)[:, channel]), [50, 90])
+            texts.append(f"{low:.2f}, {high:.2f}")
+        column.put(f"  {kind} in the world, median, 90 % [1/cm]", f"{texts[0]} (targets {texts[1]})")
 
 
 def axis_wander(

@@ -165,7 +165,8 @@ def test_the_optimiser_finds_the_minimum_of_lbfgs(which: tuple[str, float, float
             args=(strand, unit),
             jac=True,
             method="L-BFGS-B",
-            options={"maxiter": 20_000, "maxfun": 20_000, "ftol": 1e-13, "gtol": 1e-9},
+            # Converged far below the one per cent asked for.
+            options={"maxiter": 3000, "maxfun": 3000, "ftol": 1e-8, "gtol": 1e-6},
         )
         assert found <= 1.01 * reference.fun
 

@@ -87,8 +87,9 @@ def command(
       detangled retexture in.abc out.abc --target coily.texture --length strand --seed 7
     """
     from detangled.formats import check_writable, read, write
+    from detangled.grooming.lengths import Length
     from detangled.kernels import set_threads
-    from detangled.retexturing import Length, Options, retexture
+    from detangled.retexturing import Options, retexture
     from detangled_cli.targets import fitted_texture
 
     began = time.perf_counter()

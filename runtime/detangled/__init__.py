@@ -15,7 +15,8 @@ if TYPE_CHECKING:
     from detangled.formats import read, write
     from detangled.groom import Attribute, Groom, Scope
     from detangled.grooming.guides import guides_groom as guides
-    from detangled.retexturing import Length, Options, Result, retexture
+    from detangled.grooming.lengths import Length
+    from detangled.retexturing import Options, Result, retexture
 
 __version__ = "0.1.0"
 
@@ -30,7 +31,7 @@ _WHERE = {
     "load_texture": ("detangled.fitted", "load_texture"),
     "guides": ("detangled.grooming.guides", "guides_groom"),
     "retexture": ("detangled.retexturing", "retexture"),
-    "Length": ("detangled.retexturing", "Length"),
+    "Length": ("detangled.grooming.lengths", "Length"),
     "Options": ("detangled.retexturing", "Options"),
     "Result": ("detangled.retexturing", "Result"),
 }

@@ -39,8 +39,9 @@ class FittedTexture:
     """What a texture's strands are like, in canonical space.
 
     signals: (C, 3), kappa, tau [1/cm] and v [cm per t] of the strands, one after another.
-    starts: (E + 1,), strand e is in rows starts[e] to starts[e + 1]. cell_width: arc length of a cell [cm].
-    turn: arc length of a turn [cm]. median_arc: arc length of the median strand [cm]. arc_per_axis: arc length per length along the axis, in the median.
+    starts: (E + 1,), strand e is in rows starts[e] to starts[e + 1].
+    cell_width, turn, median_arc: arc lengths [cm] of a cell, of a turn, and of the median strand.
+    arc_per_axis: arc length per length along the axis, in the median.
     radius, wavelength: medians by winding [cm]; the wavelength of straight hair is NaN.
     """
 

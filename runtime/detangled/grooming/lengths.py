@@ -1,0 +1,146 @@
+"""New strands exactly as long as they should be, on their guides.
+
+Paper section "Adjusting Strand Length": v is scaled by a constant, which keeps curvature and torsion per centimetre
+and so the texture. What is left over, a percent or two, is cut off the tip.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from enum import Enum
+from typing import NamedTuple
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.geometry.arc import arc_lengths
+from detangled.geometry.centerline import centerlines
+from detangled.geometry.signal import curve_counts, curves
+from detangled.groom import Groom
+from detangled.grooming.guides import to_canonical
+from detangled.grooming.placing import cut, place
+
+# v is scaled until a strand is as long as it should be or this share longer. The axial length of a scaled strand
+# scatters by a percent or two, so nothing finer would be reached by scaling alone. After some rounds any strand that
+# is long enough will do, and the others are scaled further and further beyond.
+MOST_CUT = 0.04
+STRICT_ROUNDS = 3
+MOST_ROUNDS = 12
+
+
+class Length(str, Enum):
+    """What a new strand keeps: its guide's length along the axis, or the old strand's arc length."""
+
+    GUIDE = "guide"
+    STRAND = "strand"
+
+
+@dataclass(frozen=True)
+class Seats:
+    """Where new strands go.
+
+    guides: a groom of style guides. roots: (S, 3) [cm], where each strand starts in its guide's canonical space.
+    turns: (S,) [rad], by how much a strand is turned about its axis where its root lies on the guide.
+    goals: (S,) [cm], lengths. short: (S,), strands that are made too long and cut.
+    """
+
+    guides: Groom
+    roots: NDArray[np.float64]
+    turns: NDArray[np.float64]
+    goals: NDArray[np.float64]
+    short: NDArray[np.bool_]
+
+    def select(self, chosen: NDArray[np.int64]) -> Seats:
+        """These seats alone."""
+        return Seats(
+            self.guides.select(chosen),
+            self.roots[chosen],
+            self.turns[chosen],
+            self.goals[chosen],
+            self.short[chosen],
+        )
+
+
+class Fitted(NamedTuple):
+    """World-space strands (P, 3) [cm], finely sampled, their offsets (S + 1,), and how much of its length each has."""
+
+    points: NDArray[np.float64]
+    offsets: NDArray[np.int64]
+    reached: NDArray[np.float64]
+
+
+def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats, length: Length) -> Fitted:
+    """Build strands of signals (C, 3), those of strand s from row starts[s] on, on their guides at their lengths."""
+    values = values.copy()
+    count = len(starts) - 1
+    done: list[NDArray[np.float64]] = [np.empty((0, 3))] * count
+    reached = np.zeros(count)
+    todo = np.arange(count)
+    for rounds in range(1, MOST_ROUNDS + 1):
+        goals = seats.goals[todo]
+        world, offsets, lengths = _built(*_rows(values, starts, todo), seats, todo, length)
+        longest = (1.0 + MOST_CUT) * goals
+        longest[seats.short[todo] | (rounds > STRICT_ROUNDS)] = np.inf
+        ready = (lengths >= goals) & (lengths <= longest) | (rounds == MOST_ROUNDS)
+        scale = np.clip((1.0 + 0.5 * MOST_CUT * rounds) * goals / np.maximum(lengths, 1e-12), 0.25, 4.0)
+        reached[todo] = np.minimum(lengths / goals, 1.0)
+        for k, index in enumerate(todo):
+            if ready[k]:
+                done[index] = world[offsets[k] : offsets[k + 1]]
+            else:
+                values[starts[index] : starts[index + 1], 2] *= scale[k]
+        todo = todo[~ready]
+        if len(todo) == 0:
+            break
+    return Fitted(np.concatenate(done), np.concatenate([[0], np.cumsum([len(d) for d in done])]), reached)
+
+
+def _built(
+    values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats, chosen: NDArray[np.int64], length: Length
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
+    """Strands of signals on the chosen seats, cut at their goals, their offsets, and the lengths they had uncut."""
+    seats = seats.select(chosen)
+    offsets = np.concatenate([[0], np.cumsum(curve_counts(values, starts))])
+    points = curves(values, starts, offsets)
+    axes, _ = centerlines(points, offsets)
+    canonical = to_canonical(points, axes, offsets)
+    if length is Length.GUIDE:
+        down = canonical[offsets[:-1], 2].repeat(np.diff(offsets)) - canonical[:, 2]
+        lengths = np.maximum.reduceat(down, offsets[:-1])
+        canonical, offsets = cut(canonical, offsets, down, seats.goals)
+    angles = _angles(canonical[offsets[:-1]], seats.roots, seats.turns)
+    world = place(canonical, offsets, seats.guides.points, seats.guides.offsets, seats.roots, angles)
+    if length is Length.STRAND:
+        along = _arc_positions(world, offsets)
+        lengths = along[offsets[1:] - 1]
+        world, offsets = cut(world, offsets, along, seats.goals)
+    return world, offsets, lengths
+
+
+def _arc_positions(world: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Arc length (P,) [cm] from each strand's root to its points, of the smooth curve through them."""
+    steps = np.zeros(len(world))
+    steps[1:] = np.linalg.norm(np.diff(world, axis=0), axis=1)
+    steps[offsets[:-1]] = 0.0
+    total = np.cumsum(steps)
+    counts = np.diff(offsets)
+    chord = total - total[offsets[:-1]].repeat(counts)
+    return chord * (arc_lengths(world, offsets) / chord[offsets[1:] - 1]).repeat(counts)
+
+
+def _angles(starts: NDArray[np.float64], roots: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Angles (S,) to turn strands by: the new root over the old one where that lies off its guide, else at random."""
+    new = np.arctan2(starts[:, 1], starts[:, 0])
+    old = np.arctan2(roots[:, 1], roots[:, 0])
+    off = np.hypot(roots[:, 0], roots[:, 1]) > 0.1 * np.hypot(starts[:, 0], starts[:, 1])
+    return np.where(off, old - new, turns)
+
+
+def _rows(
+    values: NDArray[np.float64], starts: NDArray[np.int64], chosen: NDArray[np.int64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """The signals of the chosen strands, one after another, and where each starts."""
+    counts = np.diff(starts)[chosen]
+    new = np.concatenate([[0], np.cumsum(counts)])
+    rows = np.arange(new[-1]) - np.repeat(new[:-1] - starts[chosen], counts)
+    return values[rows], new
