@@ -36,13 +36,12 @@ from detangled.fitted import FittedTexture
 from detangled.geometry.signal import curve_counts, curves
 from detangled.geometry.winding import winding
 from detangled.grooming.guides import style_guides
-from detangled.retexturing import CUT_MARGIN, FEWEST_TURNS, POINTS_PER_TURN
 from detangled.synthesis import synthesise
 from detangled.units import CM_PER_UNIT
 
 GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parents[2] / "shared" / "grooms"))
 
-EVERY = {"eve": 10, "bob": 3, "combover": 100, "straight": 2}  # strands measured by default: every so many
+EVERY = {"eve": 10, "bob": 2, "combover": 50, "straight": 1}  # strands measured by default: every so many
 SAMPLE = 48  # strands of the measures that compare all with all, and of the second fit
 LENGTH_BOUND = 1e-3
 GUIDE_BOUND = 1.0  # target radii
@@ -55,6 +54,8 @@ STRAIGHT_RADIUS = 0.02  # [cm] two hairs' widths
 # An even 0.01/cm bows a strand of 12 cm by 0.2 cm.
 LEAST_CURVATURE = 0.01  # [1/cm]
 FEWEST_WAVELENGTHS = 6.0
+FEWEST_TURNS = 7.5  # that the shortest strands are synthesised with, before they are cut to length
+POINTS_PER_TURN = 12
 
 
 @dataclass
@@ -299,7 +300,7 @@ def axis_wander(
 ) -> None:
     """Centreline arc over chord of strands as they are synthesised, before any guide, against the targets' rebuilt."""
     chosen = np.sort(rng.permutation(len(guide_lengths))[:SAMPLE])
-    least = CUT_MARGIN * FEWEST_TURNS * texture.turn if texture.median_arc > FEWEST_TURNS * texture.turn else 0.0
+    least = min(FEWEST_TURNS * texture.turn, texture.median_arc)
     arcs = np.maximum(guide_lengths[chosen] * texture.arc_per_axis, least)
     made = synthesise(texture, arcs, chosen.astype(np.int64), seed)
     found = []

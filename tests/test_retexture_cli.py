@@ -323,21 +323,22 @@ def test_a_texture_of_another_kind_is_refused(
 def odd_groom() -> tuple[Groom, list[int]]:
     """Strands of many kinds, in metres, and which of them cannot be used."""
     line = np.stack([np.zeros(9), np.linspace(0, -0.2, 9), np.zeros(9)], axis=1)
+    aside = np.array([0.01, 0, 0])
     nan, infinite = line.copy(), line.copy()
     nan[4, 1] = np.nan
     infinite[8, 2] = np.inf
     strands = [
-        line + [0.00, 0, 0],
+        line,
         nan,
         np.zeros((0, 3)),
         np.array([[0.01, 0.02, 0.03]]),
         np.tile([0.1, 0.2, 0.3], (6, 1)),
         infinite,
-        np.repeat(line, 3, axis=0) + [0.01, 0, 0],  # doubled points
-        np.concatenate([line, line[-2::-1]]) + [0.02, 0, 0],  # folds back on itself
-        line[[0, -1]] + [0.03, 0, 0],  # two points
-        line[[0, -1, 0, -1]] + [0.04, 0, 0],  # there and back again
-        line + [0.05, 0, 0],
+        np.repeat(line, 3, axis=0) + aside,  # doubled points
+        np.concatenate([line, line[-2::-1]]) + 2 * aside,  # folds back on itself
+        line[[0, -1]] + 3 * aside,  # two points
+        line[[0, -1, 0, -1]] + 4 * aside,  # there and back again
+        line + 5 * aside,
         np.zeros((0, 3)),
     ]
     count = len(strands)
@@ -375,7 +376,7 @@ def test_a_strand_of_many_points_takes_no_minute(tmp_path: Path) -> None:
     t = np.linspace(0, 1, 100_000)
     angle = 2 * np.pi * 40 * t
     helix = np.stack([np.cos(angle), -40.0 * t, np.sin(angle)], axis=1)
-    groom = Groom.from_strands([helix, helix[::10_000] + [5.0, 0, 0]], unit_source="file")
+    groom = Groom.from_strands([helix, helix[::10_000] + np.array([5.0, 0, 0])], unit_source="file")
     write(groom, tmp_path / "in.npz")
     began = time.monotonic()
     done = retexture(tmp_path / "in.npz", tmp_path / "out.npz")

@@ -3,8 +3,9 @@
 from __future__ import annotations
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
+from detangled.geometry.inputs import compiled_input
 from detangled.geometry.spline import chord_lengths, distinct_points, spline_sample, spline_slopes
 from detangled.kernels import kernel, parallel_kernel, prange
 
@@ -39,9 +40,13 @@ def arc_length(points: NDArray[np.float64]) -> float:
     return total
 
 
+def arc_lengths(points: ArrayLike, offsets: ArrayLike) -> NDArray[np.float64]:
+    """Arc length [cm] of each strand, (S,), of the smooth curve through its distinct points (P, 3)."""
+    return _arc_lengths(compiled_input(points, np.float64), compiled_input(offsets, np.int64))
+
+
 @parallel_kernel
-def arc_lengths(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Arc length [cm] of each strand, (S,), of the smooth curve through its distinct points."""
+def _arc_lengths(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
     out = np.zeros(offsets.shape[0] - 1)
     for s in prange(offsets.shape[0] - 1):
         out[s] = arc_length(distinct_points(points[offsets[s] : offsets[s + 1]]))

@@ -5,11 +5,12 @@ from __future__ import annotations
 from dataclasses import dataclass, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.canonical import phi
 from detangled.geometry.centerline import centerlines
+from detangled.geometry.inputs import compiled_input
 from detangled.groom import Attribute, Groom, Scope
 from detangled.kernels import parallel_kernel, prange
 
@@ -75,11 +76,16 @@ def guides_groom(groom: Groom) -> Groom:
     return replace(groom, points=points)
 
 
+def to_canonical(points: ArrayLike, guides: ArrayLike, offsets: ArrayLike) -> NDArray[np.float64]:
+    """Strands (P, 3) in the canonical space of their guides (P, 3)."""
+    arrays = compiled_input(points, np.float64), compiled_input(guides, np.float64)
+    return _to_canonical(*arrays, compiled_input(offsets, np.int64))
+
+
 @parallel_kernel
-def to_canonical(
+def _to_canonical(
     points: NDArray[np.float64], guides: NDArray[np.float64], offsets: NDArray[np.int64]
 ) -> NDArray[np.float64]:
-    """Strands (P, 3) in the canonical space of their guides (P, 3)."""
     out = np.empty_like(points)
     for s in prange(offsets.shape[0] - 1):
         a = offsets[s]
