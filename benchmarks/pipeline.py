@@ -127,8 +127,9 @@ def main(arguments: list[str] | None = None) -> None:
     for name, part in CASES:
         got = measured(options.grooms / name, target, part * share)
         print(
-            f"{name}: {got.strands} strands, {got.points} points: {got.total:.1f} s, {1e3 * got.total / got.strands:.1f}"
-            f" ms a strand, peak {got.peak / 1e9:.2f} GB (the same process before: {got.before / 1e9:.2f} GB)",
+            f"{name}: {got.strands} strands, {got.points} points: {got.total:.1f} s, "
+            f"{1e3 * got.total / got.strands:.1f} ms a strand, peak {got.peak / 1e9:.2f} GB "
+            f"({got.before / 1e9:.2f} GB before the work)",
             flush=True,
         )
         for stage, seconds in got.stages.items():
