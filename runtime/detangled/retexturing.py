@@ -27,6 +27,7 @@ CHUNK = 512  # strands made at once: the memory that a groom needs beside its ow
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
 FEWEST_TURNS = 6.0
 CUT_MARGIN = 1.25
+DROPPED_TURNS = 1.5
 LENGTH_TOLERANCE = 1e-3
 
 
@@ -84,6 +85,7 @@ def retexture(
         turns=np.array([_generator(options.seed, name).uniform(-np.pi, np.pi) for name in guides.kept]),
         goals=goals,
         short=short,
+        dropped=DROPPED_TURNS * texture.turn,
     )
     passed_through = np.setdiff1d(np.arange(groom.strand_count), guides.kept)
     strands: list[NDArray[np.float64]] = [np.empty((0, 3))] * groom.strand_count
@@ -105,6 +107,11 @@ def retexture(
         offsets = np.concatenate([[0], np.cumsum(counts)])
         points = resample(made.points, made.offsets, offsets)
         points[offsets[:-1]] = guides.groom.points[guides.groom.offsets[members]]
+        if options.length is Length.STRAND:
+            # Fewer points follow less of a kink: the percent of arc that this takes is given back.
+            scale = goals[members] * made.reached / arc_lengths(points, offsets)
+            root = points[offsets[:-1]].repeat(counts, axis=0)
+            points = root + (points - root) * scale.repeat(counts)[:, None]
         for k, name in enumerate(names):
             strands[name] = points[offsets[k] : offsets[k + 1]]
 
@@ -126,7 +133,7 @@ def _arcs_to_make(
     arcs = goals * texture.arc_per_axis if length is Length.GUIDE else goals.copy()
     least = FEWEST_TURNS * texture.turn
     short = (arcs < least) & (texture.median_arc >= least)
-    arcs[short] = CUT_MARGIN * least
+    arcs[short] = CUT_MARGIN * least + DROPPED_TURNS * texture.turn
     return arcs, short
 
 

@@ -40,7 +40,12 @@ STRAIGHT = 1e-6  # second differences this small beside the first leave an end n
 # Weights of the regularisers beside the spread of the distances. Lengths are measured in turns / 2 pi.
 WEIGHT_ADJACENT = 1.0
 WEIGHT_DISPLACEMENT = 1e-2
-WEIGHT_CURVATURE = 5.0
+WEIGHT_CURVATURE = 3.0
+# A style bends over the whole strand, so the more turns there are the longer its bends, in turns: beyond so many the
+# axis is stiffened by this power of their number. A soft axis follows the twists of a coil of 20 turns and gives its
+# canonical strand a torsion that the strand has not; a stiff one misses the S of a guide with 4.
+SOFT_TURNS = 4.0
+STIFFENING = 3.0
 MOST_ITERATIONS = 40
 # Steps this small beside the mean distance, or gains this small beside the objective, end the optimisation.
 SMALL_STEP = 1e-3
@@ -230,11 +235,11 @@ def _distances(axis: NDArray[np.float64], strand: NDArray[np.float64], r: NDArra
 
 
 @kernel
-def objective(axis: NDArray[np.float64], r: NDArray[np.float64], mean: float, unit: float) -> float:
+def objective(axis: NDArray[np.float64], r: NDArray[np.float64], mean: float, unit: float, stiffness: float) -> float:
     """What ``optimise`` minimises, for an axis (n, 2) and its distances r (n,) of a known mean."""
     n = axis.shape[0]
     adjacent = WEIGHT_ADJACENT * unit**2
-    curvature = WEIGHT_CURVATURE * unit**4
+    curvature = stiffness * unit**4
     total = 0.0
     for i in range(n):
         total += (r[i] - mean) ** 2
@@ -275,6 +280,7 @@ def _normal_equations(
     mean: float,
     u: NDArray[np.float64],
     unit: float,
+    stiffness: float,
     damping: float,
     band: NDArray[np.float64],
     right: NDArray[np.float64],
@@ -285,7 +291,7 @@ def _normal_equations(
     """
     n = axis.shape[0]
     adjacent = WEIGHT_ADJACENT * unit**2
-    curvature = WEIGHT_CURVATURE * unit**4
+    curvature = stiffness * unit**4
     band[:] = 0.0
     for i in range(n):
         for c in range(2):
@@ -318,13 +324,13 @@ def _normal_equations(
 
 
 @kernel
-def optimise(strand: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
+def optimise(strand: NDArray[np.float64], unit: float, stiffness: float = WEIGHT_CURVATURE) -> NDArray[np.float64]:
     """Axis (n, 2) [cm] that a canonical strand (n, 3) winds around at an even distance, each point at its own height.
 
     Minimises half the sum of (r_i - mean r)^2, of the weighted squares of the steps of r between neighbours, of the
-    displacement from the z-axis, and of the axis' second differences, over lengths measured in ``unit``, samples
-    per radian of a turn. Gauss-Newton on the banded normal equations; the mean distance moves along as one more
-    unknown, eliminated by its Schur complement; Levenberg's damping where a step would not descend.
+    displacement from the z-axis, and, by ``stiffness``, of the axis' second differences, over lengths measured in
+    ``unit``, samples per radian of a turn. Gauss-Newton on the banded normal equations; the mean distance moves along
+    as one more unknown, eliminated by its Schur complement; Levenberg's damping where a step would not descend.
     """
     n = strand.shape[0]
     axis = np.zeros((n, 2))
@@ -336,10 +342,10 @@ def optimise(strand: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
     right = np.empty((2 * n, 2))
     damping = FIRST_DAMPING
     mean = _distances(axis, strand, r)
-    value = objective(axis, r, mean, unit)
+    value = objective(axis, r, mean, unit, stiffness)
     for _ in range(MOST_ITERATIONS):
         _directions(axis, strand, r, mean, u)
-        _normal_equations(axis, r, mean, u, unit, damping, band, right)
+        _normal_equations(axis, r, mean, u, unit, stiffness, damping, band, right)
         descends = False
         largest = np.inf
         if _solve_band(band, right):
@@ -357,7 +363,7 @@ def optimise(strand: NDArray[np.float64], unit: float) -> NDArray[np.float64]:
                     trial[i, c] = axis[i, c] + move
                     largest = max(largest, abs(move))
             mean_there = _distances(trial, strand, trial_r)
-            there = objective(trial, trial_r, mean_there, unit)
+            there = objective(trial, trial_r, mean_there, unit, stiffness)
             descends = there <= value
             if descends:
                 gain = value - there
@@ -411,7 +417,8 @@ def _centerline(points: NDArray[np.float64], out: NDArray[np.float64], rough: ND
     guide = dct_centerline(dense, int(frequencies))
     _interpolate(grid, guide, at, rough)
     extra = int(EXTENSION * m)
-    axis = optimise(_extend(phi(dense, guide), extra), m / (2.0 * np.pi * turns))
+    stiffness = WEIGHT_CURVATURE * max(1.0, turns / SOFT_TURNS) ** STIFFENING
+    axis = optimise(_extend(phi(dense, guide), extra), m / (2.0 * np.pi * turns), stiffness)
     rotation = guide_frames(guide)
     for i in range(m + 1):
         x = axis[extra + i, 0]

@@ -42,6 +42,7 @@ class Seats:
     guides: a groom of style guides. roots: (S, 3) [cm], where each strand starts in its guide's canonical space.
     turns: (S,) [rad], by how much a strand is turned about its axis where its root lies on the guide.
     goals: (S,) [cm], lengths. short: (S,), strands that are made too long and cut.
+    dropped: arc length [cm] that short strands lose at the root too, where a centreline is known least well.
     """
 
     guides: Groom
@@ -49,6 +50,7 @@ class Seats:
     turns: NDArray[np.float64]
     goals: NDArray[np.float64]
     short: NDArray[np.bool_]
+    dropped: float
 
     def select(self, chosen: NDArray[np.int64]) -> Seats:
         """These seats alone."""
@@ -58,6 +60,7 @@ class Seats:
             self.turns[chosen],
             self.goals[chosen],
             self.short[chosen],
+            self.dropped,
         )
 
 
@@ -104,6 +107,7 @@ def _built(
     points = curves(values, starts, offsets)
     axes, _ = centerlines(points, offsets)
     canonical = to_canonical(points, axes, offsets)
+    canonical, offsets = _without_roots(canonical, offsets, np.where(seats.short, seats.dropped, 0.0))
     if length is Length.GUIDE:
         down = canonical[offsets[:-1], 2].repeat(np.diff(offsets)) - canonical[:, 2]
         lengths = np.maximum.reduceat(down, offsets[:-1])
@@ -115,6 +119,18 @@ def _built(
         lengths = along[offsets[1:] - 1]
         world, offsets = cut(world, offsets, along, seats.goals)
     return world, offsets, lengths
+
+
+def _without_roots(
+    canonical: NDArray[np.float64], offsets: NDArray[np.int64], dropped: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Strands without their first ``dropped`` (S,) [cm], and their offsets."""
+    counts = np.diff(offsets)
+    kept = _arc_positions(canonical, offsets) >= dropped.repeat(counts)
+    # Two points are left of any strand.
+    kept[offsets[1:] - 1] = True
+    kept[offsets[1:] - 2] = True
+    return canonical[kept], np.concatenate([[0], np.cumsum(np.add.reduceat(kept.astype(np.int64), offsets[:-1]))])
 
 
 def _arc_positions(world: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -15,11 +15,11 @@ from detangled.geometry.spline import chord_lengths, distinct_points, spline_sam
 from detangled.kernels import kernel, parallel_kernel, prange
 
 GUIDE_SAMPLES_PER_SEGMENT = 8
-FEWEST_GUIDE_SAMPLES, MOST_GUIDE_SAMPLES = 64, 4096
+FEWEST_GUIDE_SAMPLES, MOST_GUIDE_SAMPLES = 256, 4096
 # A new strand starts at the old root and goes over to its own distance from the guide in so many radii (the new
-# strand's, or the old root's distance where that is more) along the axis, but within half of it.
+# strand's, or the old root's distance where that is more) along the axis, but within this share of it.
 BLEND_RADII = 6.0
-BLEND_SHARE = 0.5
+BLEND_SHARE = 0.35
 
 
 @kernel
@@ -56,16 +56,19 @@ def bend_onto(canonical: NDArray[np.float64], guide: NDArray[np.float64]) -> NDA
         while k > 0 and s < along[k]:
             k -= 1
         part = (s - along[k]) / (along[k + 1] - along[k])
-        inside = min(max(part, 0.0), 1.0)
-        ahead = min(k + 1, m)
+        # A frame belongs to the middle of its segment.
+        below = k - 1 if part < 0.5 else k
+        inside = min(max(part + 0.5 if part < 0.5 else part - 0.5, 0.0), 1.0)
+        ahead = min(below + 1, m - 1)
+        below = max(below, 0)
         size = 0.0
         for c in range(3):
-            x[c] = frames[k, 0, c] * (1.0 - inside) + frames[ahead, 0, c] * inside
+            x[c] = frames[below, 0, c] * (1.0 - inside) + frames[ahead, 0, c] * inside
             size += x[c] * x[c]
         x /= np.sqrt(size)
         down = 0.0
         for c in range(3):
-            y[c] = frames[k, 1, c] * (1.0 - inside) + frames[ahead, 1, c] * inside
+            y[c] = frames[below, 1, c] * (1.0 - inside) + frames[ahead, 1, c] * inside
             down += y[c] * x[c]
         size = 0.0
         for c in range(3):
