@@ -23,12 +23,13 @@ lint: $(TESTABLE)
 	$(BIN)/mypy
 
 bench: $(TESTABLE)
-	@set -e; for name in formats geometry patches fidelity retexture pipeline; do \
+	@failed=; for name in formats geometry patches fidelity retexture pipeline; do \
 		[ -f benchmarks/$$name.py ] || continue; \
 		case $$name in fidelity) strands=examples/coily_strands.obj ;; *) strands= ;; esac; \
 		echo "== benchmarks/$$name.py $$strands"; \
-		DETANGLED_GROOMS="$(GROOMS)" $(BIN)/python benchmarks/$$name.py $$strands; \
-	done
+		DETANGLED_GROOMS="$(GROOMS)" $(BIN)/python benchmarks/$$name.py $$strands || failed="$$failed $$name"; \
+	done; \
+	if [ -n "$$failed" ]; then echo "beyond a bound or failed:$$failed"; exit 1; fi
 
 $(RUNNABLE): pyproject.toml
 	test -x $(BIN)/python || $(PYTHON) -m venv .venv

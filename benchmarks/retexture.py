@@ -42,7 +42,8 @@ from detangled.units import CM_PER_UNIT
 GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parents[2] / "shared" / "grooms"))
 
 EVERY = {"eve": 10, "bob": 2, "combover": 50, "straight": 1}  # strands measured by default: every so many
-SAMPLE = 48  # strands of the measures that compare all with all, and of the second fit
+SAMPLE = 48  # strands of the measures that compare all with all
+HELD_OUT = 200  # new strands compared with targets that their texture was not fitted to
 LENGTH_BOUND = 1e-3
 GUIDE_BOUND = 1.0  # target radii
 TEXTURE_BOUND = 0.2
@@ -265,7 +266,7 @@ def distributions(
     order = rng.permutation(len(real))
     seen, held_out = np.sort(order[: len(real) // 2]), order[len(real) // 2 :]
     half = detangled.fit(job.targets.select(seen))
-    chosen = np.sort(rng.permutation(groom.strand_count)[:SAMPLE])
+    chosen = np.sort(rng.permutation(groom.strand_count)[:HELD_OUT])
     few, few_guides = groom.select(chosen), guides.select(chosen)
     new = job.retextured(few, half, Length.GUIDE)
     canonical = measures.mixed(measures.own_axis(new), measures.given_axis(new, few_guides), long[chosen])

@@ -342,17 +342,17 @@ def test_progress_bar_waits_and_only_shows_on_a_terminal(monkeypatch: pytest.Mon
 
 
 def test_first_run_is_announced_once(verb: Any, monkeypatch: pytest.MonkeyPatch) -> None:
-    kernels = SimpleNamespace(is_first_run=lambda: True)
+    kernels = SimpleNamespace(is_first_run=lambda _: True)
     monkeypatch.setitem(sys.modules, "detangled.kernels", kernels)
 
     def twice() -> None:
-        console.announce_first_run()
-        console.announce_first_run()
+        console.announce_first_run("placing.resample")
+        console.announce_first_run("placing.resample")
 
     verb(twice)
     assert invoke("act").stderr.count("compiling kernels") == 1
     assert invoke("act", "-q").stderr == ""
-    kernels.is_first_run = lambda: False
+    kernels.is_first_run = lambda _: False
     assert invoke("act").stderr == ""
 
 

@@ -55,15 +55,18 @@ def progress_bar(label: str, total: int | None = None) -> Iterator[Callable[[int
         yield bar.update
 
 
-def announce_first_run() -> None:
-    """Say once, before kernels are used, that they are about to be compiled, if they are."""
+def announce_first_run(last_kernel: str) -> None:
+    """Say once, before kernels are used, that they are about to be compiled, if they are.
+
+    last_kernel: ``module.function`` of a kernel that the verb compiles last.
+    """
     shared = _shared()
     if shared.get(_ANNOUNCED):
         return
     shared[_ANNOUNCED] = True
     from detangled.kernels import is_first_run
 
-    if is_first_run():
+    if is_first_run(last_kernel):
         note("compiling kernels: this first run takes about a minute longer, later ones do not")
 
 

@@ -32,11 +32,13 @@ def command(source: Path, target: Path, method: str, unit: str | None, threads: 
     """
     from detangled.errors import WriteError
     from detangled.fitted import SUFFIX, save_texture
+    from detangled.formats import check_folder
     from detangled.kernels import set_threads
     from detangled_cli.targets import fitted_texture
 
     if target.suffix != SUFFIX:
         raise WriteError(f"{target}: a fitted texture is written as {SUFFIX}")
-    announce_first_run()
+    check_folder(target)
+    announce_first_run("winding.winding")
     set_threads(threads)
     save_texture(fitted_texture(source, unit), target)

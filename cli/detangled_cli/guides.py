@@ -30,14 +30,15 @@ def command(source: Path, target: Path, unit: str | None, threads: int | None) -
     Example:
       detangled guides curly.abc guides.abc
     """
-    from detangled.formats import read, write
+    from detangled.formats import check_writable, read, write
     from detangled.grooming.guides import guides_groom, usable_strands
     from detangled.kernels import set_threads
 
+    check_writable(target)
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
-    announce_first_run()
+    announce_first_run("centerline._centerlines")
     set_threads(threads)
     unusable = groom.strand_count - int(usable_strands(groom).sum())
     if unusable:

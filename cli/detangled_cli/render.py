@@ -64,7 +64,7 @@ def command(paths: tuple[Path, ...], view: str, size: int, unit: str | None, thr
         grooms.append(read(source, unit=unit))
         for sentence in grooms[-1].notes:
             warn(f"{source}: {sentence}")
-    announce_first_run()
+    announce_first_run("rasteriser.")
     set_threads(threads)
     drawn = picture.render(grooms, (size, size), view, _captions(sources), names=[str(source) for source in sources])
     picture.save(drawn, target)

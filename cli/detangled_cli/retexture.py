@@ -97,7 +97,7 @@ def command(
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
-    announce_first_run()
+    announce_first_run("placing.resample")
     set_threads(threads)
     texture = fitted_texture(texture_source, target_unit)
     with progress_bar("strands", groom.strand_count) as advance:

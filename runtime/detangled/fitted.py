@@ -26,10 +26,11 @@ from detangled.groom import Groom
 from detangled.grooming.guides import style_guides
 
 SUFFIX = ".texture"
+FORMAT = "detangled texture"
 METHOD = "patches"
 VERSION = 1
-CELLS = 256  # of a strand of median length, where its turns need no fewer
-CELLS_PER_TURN = 16.0  # enough: twists keep their angle in cells as wide
+CELLS = 512  # of a strand of median length, where its turns need no fewer
+CELLS_PER_TURN = 22.0  # five between neighbouring points of a strand with 4.4 a turn: means keep its curvature
 FEWEST_CELLS = 64  # of a strand of median length
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
@@ -115,7 +116,7 @@ def _arc_of_a_turn(values: NDArray[np.float64]) -> float:
 def save_texture(texture: FittedTexture, path: str | Path) -> None:
     """Write a .texture file. Raises WriteError."""
     manifest = {
-        "format": "detangled texture",
+        "format": FORMAT,
         "version": VERSION,
         "method": texture.method,
         "whitening": asdict(texture.whitening),
@@ -146,6 +147,8 @@ def load_texture(path: str | Path) -> FittedTexture:
     try:
         arrays = read_arrays(path)
         manifest = json.loads(str(arrays["manifest"][0]))
+        if manifest["format"] != FORMAT:
+            raise ValueError("another kind of file")
         if manifest["version"] != VERSION or manifest["method"] != METHOD:
             raise ModelError(
                 f"{path}: a texture of version {manifest['version']}, method {manifest['method']}; this detangled "

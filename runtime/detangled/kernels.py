@@ -35,9 +35,9 @@ def cache_directory() -> Path:
     return _user_cache() / "detangled" / f"kernels-{digest.hexdigest()[:16]}"
 
 
-def is_first_run() -> bool:
-    """Whether nothing has been compiled yet, so that the first kernels will take a while."""
-    return not any(cache_directory().rglob("*.nbi"))
+def is_first_run(kernel_name: str) -> bool:
+    """Whether a kernel (``module.function``) has not been compiled yet, so that its verb will take a while."""
+    return not any(cache_directory().rglob(f"{kernel_name}*.nbi"))
 
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_directory()))

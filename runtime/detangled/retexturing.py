@@ -25,8 +25,8 @@ from detangled.synthesis import grid_cells, synthesise
 POINTS_PER_TURN = 12
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
-FEWEST_TURNS = 6.0
-CUT_MARGIN = 1.25
+FEWEST_TURNS = 8.0
+CUT_MARGIN = 1.1
 DROPPED_TURNS = 1.5
 LENGTH_TOLERANCE = 1e-3
 
@@ -144,7 +144,8 @@ def _warnings(per_turn: NDArray[np.float64], reached: NDArray[np.float64], optio
     if scarce:
         said.append(
             f"{scarce} strands need more than {options.max_points} points: they got as few as {per_turn.min():.1f} a "
-            f"turn where {POINTS_PER_TURN} keep the texture; raise --max-points, or keep arcs with --length strand"
+            f"turn where {POINTS_PER_TURN} keep the texture; raise --max-points"
+            f"{'' if options.length is Length.STRAND else ', or make less hair of it with --length strand'}"
         )
     too_short = np.count_nonzero(reached < 1.0 - LENGTH_TOLERANCE)
     if too_short:

@@ -31,8 +31,8 @@ class PatchSchedule:
     window: how far, in cells, an example's position may lie from where the strand's own falls in it.
     """
 
-    widest: int = 100
-    narrowest: int = 12
+    widest: int = 200
+    narrowest: int = 24
     high: float = 4.0
     low: float = 0.1
     window: int = 24
@@ -294,14 +294,19 @@ def plan_stretches(
     """Choose the examples offered to each stretch of one strand, (K, E), and the diagonals they lie on, (K, E).
 
     lengths: cells of each example. A strand shorter than an example is laid over a random part of it; along a
-    longer one positions are mapped in proportion. Neighbouring stretches share no example while there are enough;
-    where there are few, each is offered at several places.
+    longer one positions are mapped in proportion. Examples are dealt out in shuffled rounds, so that neighbouring
+    stretches share few or none; where there are few examples, each is offered at several places. Where there is an
+    example as long as the stretch, one such is offered, so that no cell is without a patch.
     """
     stretches = len(bounds) - 1
     order = rng.permutation(len(lengths))
     while len(order) < stretches * offered:
         order = np.concatenate([order, rng.permutation(len(lengths))])
     chosen = order[: stretches * offered].reshape(stretches, offered)
+    spans = np.diff(bounds)
+    for k in np.flatnonzero(lengths[chosen].max(axis=1) < spans):
+        long_enough = np.flatnonzero(lengths >= spans[k])
+        chosen[k, -1] = rng.choice(long_enough) if len(long_enough) else np.argmax(lengths)
     length = lengths[chosen]
     middle = 0.5 * (bounds[:-1] + bounds[1:])[:, None]
     spread = np.abs(length - cells) if len(lengths) >= stretches * offered else np.maximum(length, cells)

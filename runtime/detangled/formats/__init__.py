@@ -94,6 +94,11 @@ def check_writable(path: str | os.PathLike[str]) -> None:
     path = Path(path)
     if _functions(path, WriteError)[1] is None:
         raise WriteError(f"{path}: files ending in {path.suffix} can be read, not written")
+    check_folder(path)
+
+
+def check_folder(path: Path) -> None:
+    """Raise the WriteError that writing a file to a missing or protected folder would end in."""
     target = _target_of(path)
     if not os.access(target.parent, os.W_OK):
         raise WriteError(f"{path}: the folder {target.parent} cannot be written to")

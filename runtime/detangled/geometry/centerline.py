@@ -28,6 +28,7 @@ ENOUGH_SAMPLES = 512
 # condition of its equations.
 SAMPLES_PER_TURN = 16
 FEWEST_FREQUENCIES, MOST_FREQUENCIES = 3, 8
+TURNS_PER_FREQUENCY = 3.0
 # Below so many swings about its lowest frequencies a strand has no curl to take away, and neither has one that
 # swings too weakly for its number of turns (sine squared of the helix' angle, times turns squared): those bends are
 # style, and the strand is its own guide. Types III to VIII are above from 2.5 turns up; a wave of type II (0.45 cm
@@ -384,7 +385,9 @@ def optimise(strand: NDArray[np.float64], unit: float, stiffness: float = WEIGHT
 
 
 @kernel
-def _centerline(points: NDArray[np.float64], out: NDArray[np.float64], rough: NDArray[np.float64]) -> None:
+def _centerline(
+    points: NDArray[np.float64], least_turns: float, out: NDArray[np.float64], rough: NDArray[np.float64]
+) -> None:
     """Fill ``out`` (n, 3) with the world-space centreline of a strand (n, 3), and ``rough`` (n, 3) with its start.
 
     A strand without curl, or of fewer than three distinct points, is its own centreline.
@@ -413,11 +416,11 @@ def _centerline(points: NDArray[np.float64], out: NDArray[np.float64], rough: ND
         m = enough
         grid = uniform_grid(t[-1], m)
         dense = spline_sample(t, knots, slopes, grid)
-    frequencies = min(max(np.round(turns), FEWEST_FREQUENCIES), MOST_FREQUENCIES)
+    frequencies = min(max(np.round(turns / TURNS_PER_FREQUENCY), FEWEST_FREQUENCIES), MOST_FREQUENCIES)
     guide = dct_centerline(dense, int(frequencies))
     _interpolate(grid, guide, at, rough)
     extra = int(EXTENSION * m)
-    stiffness = WEIGHT_CURVATURE * max(1.0, turns / SOFT_TURNS) ** STIFFENING
+    stiffness = WEIGHT_CURVATURE * max(1.0, max(turns, least_turns) / SOFT_TURNS) ** STIFFENING
     axis = optimise(_extend(phi(dense, guide), extra), m / (2.0 * np.pi * turns), stiffness)
     rotation = guide_frames(guide)
     for i in range(m + 1):
@@ -443,23 +446,27 @@ def _interpolate(
 def _centerlines(
     points: NDArray[np.float64],
     offsets: NDArray[np.int64],
+    least_turns: float,
     guides: NDArray[np.float64],
     starts: NDArray[np.float64],
 ) -> None:
     for s in prange(offsets.shape[0] - 1):
         a = offsets[s]
         b = offsets[s + 1]
-        _centerline(points[a:b], guides[a:b], starts[a:b])
+        _centerline(points[a:b], least_turns, guides[a:b], starts[a:b])
 
 
-def centerlines(points: ArrayLike, offsets: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def centerlines(
+    points: ArrayLike, offsets: ArrayLike, least_turns: float = 0.0
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Centrelines (P, 3) [cm] of all strands, and their rough starts (P, 3) from the lowest frequencies alone.
 
     points: (P, 3), strand s in rows offsets[s] to offsets[s + 1]. A strand without curl, of fewer than three
-    distinct points, or with a coordinate that is not finite is its own centreline.
+    distinct points, or with a coordinate that is not finite is its own centreline. ``least_turns``: the axes are as
+    stiff as those of strands of at least so many turns; for strands that have no style to follow.
     """
     points = compiled_input(points, np.float64)
     guides = np.empty(points.shape)
     starts = np.empty(points.shape)
-    _centerlines(points, compiled_input(offsets, np.int64), guides, starts)
+    _centerlines(points, compiled_input(offsets, np.int64), float(least_turns), guides, starts)
     return guides, starts

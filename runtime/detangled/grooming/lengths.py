@@ -26,6 +26,7 @@ from detangled.grooming.placing import cut, place
 MOST_CUT = 0.04
 STRICT_ROUNDS = 3
 MOST_ROUNDS = 12
+STYLELESS_TURNS = 24.0  # a new strand's axis may bend no more sharply than that of a coil of so many turns
 
 
 class Length(str, Enum):
@@ -105,7 +106,7 @@ def _built(
     seats = seats.select(chosen)
     offsets = np.concatenate([[0], np.cumsum(curve_counts(values, starts))])
     points = curves(values, starts, offsets)
-    axes, _ = centerlines(points, offsets)
+    axes, _ = centerlines(points, offsets, STYLELESS_TURNS)
     canonical = to_canonical(points, axes, offsets)
     canonical, offsets = _without_roots(canonical, offsets, np.where(seats.short, seats.dropped, 0.0))
     if length is Length.GUIDE:
