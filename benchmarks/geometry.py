@@ -119,18 +119,20 @@ def twin_rough(dense: NDArray[np.float64], frequencies: int) -> NDArray[np.float
     return dense[0] + np.concatenate([np.zeros((1, 3)), np.cumsum(idct(spectrum, axis=0), axis=0)])
 
 
-def twin_objective(flat: NDArray[np.float64], strand: NDArray[np.float64], unit: float) -> tuple[float, NDArray]:
+def twin_objective(
+    flat: NDArray[np.float64], strand: NDArray[np.float64], unit: float, stiffness: float
+) -> tuple[float, NDArray]:
     axis = flat.reshape(-1, 2)
     offset = axis - strand[:, :2]
     r = np.linalg.norm(offset, axis=1)
     spread, steps, second = r - r.mean(), np.diff(r) * unit, np.diff(axis, 2, axis=0) * unit**2
     value = (spread**2).sum() + c.WEIGHT_ADJACENT * (steps**2).sum()
-    value += c.WEIGHT_DISPLACEMENT * (axis**2).sum() + c.WEIGHT_CURVATURE * (second**2).sum()
+    value += c.WEIGHT_DISPLACEMENT * (axis**2).sum() + stiffness * (second**2).sum()
     by_r = spread.copy()
     by_r[1:] += c.WEIGHT_ADJACENT * steps * unit
     by_r[:-1] -= c.WEIGHT_ADJACENT * steps * unit
     gradient = by_r[:, None] * offset / (r[:, None] + 1e-30) + c.WEIGHT_DISPLACEMENT * axis
-    bend = c.WEIGHT_CURVATURE * second * unit**2
+    bend = stiffness * second * unit**2
     gradient[2:] += bend
     gradient[1:-1] -= 2 * bend
     gradient[:-2] += bend
@@ -147,14 +149,16 @@ def twin_centerline(points: NDArray[np.float64]) -> NDArray[np.float64]:
     m = max(c.FEWEST_SAMPLES, int(c.SAMPLES_PER_TURN * turns))
     grid = np.linspace(0.0, t[-1], m + 1)
     dense = through(grid)
-    rough = twin_rough(dense, int(np.clip(round(turns), c.FEWEST_FREQUENCIES, c.MOST_FREQUENCIES)))
+    frequencies = round(turns / c.TURNS_PER_FREQUENCY)
+    rough = twin_rough(dense, int(np.clip(frequencies, c.FEWEST_FREQUENCIES, c.MOST_FREQUENCIES)))
     extra = int(c.EXTENSION * m)
     extended = c._extend(twin_phi(dense, rough), extra)
     unit = m / (2 * np.pi * turns)
+    stiffness = c.WEIGHT_CURVATURE * max(1.0, turns / c.SOFT_TURNS) ** c.STIFFENING
     found = minimize(
         twin_objective,
         np.zeros(2 * len(extended)),
-        args=(extended, unit),
+        args=(extended, unit, stiffness),
         jac=True,
         method="L-BFGS-B",
         # As near to the minimum as the compiled optimiser stops: a gain below SMALL_GAIN over several steps.

@@ -146,9 +146,11 @@ def test_the_objectives_gradient(which: tuple[str, float, float, int]) -> None:
     n = len(strand)
     r, u, band, right = np.empty(n), np.empty((n, 2)), np.empty((2 * n, BAND + 1)), np.empty((2 * n, 2))
     mean = module._distances(pairs, strand, r)
-    assert module.objective(pairs, r, mean, unit) == pytest.approx(objective_twin(axis, strand, unit)[0], rel=1e-9)
+    assert module.objective(pairs, r, mean, unit, WEIGHT_CURVATURE) == pytest.approx(
+        objective_twin(axis, strand, unit)[0], rel=1e-9
+    )
     module._directions(pairs, strand, r, mean, u)
-    module._normal_equations(pairs, r, mean, u, unit, 0.0, band, right)
+    module._normal_equations(pairs, r, mean, u, unit, WEIGHT_CURVATURE, 0.0, band, right)
     np.testing.assert_allclose(-right[:, 0], gradient, atol=1e-9 * np.abs(gradient).max())
 
 
