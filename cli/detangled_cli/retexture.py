@@ -107,7 +107,7 @@ def command(
     if len(result.passed_through):
         some = ", ".join(str(index) for index in result.passed_through[:5])
         warn(
-            f"{source}: {len(result.passed_through)} strands have no two distinct finite points and pass through "
+            f"{source}: {len(result.passed_through)} strands cannot be used and pass through "
             f"unchanged: {some}{', ...' if len(result.passed_through) > 5 else ''}"
         )
     note(

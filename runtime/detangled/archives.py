@@ -22,7 +22,7 @@ DAMAGE = (
     ValueError,
     EOFError,
     KeyError,
-    NotImplementedError,
+    RuntimeError,  # encrypted members, and NotImplementedError
     SyntaxError,
     TypeError,
 )

@@ -22,7 +22,7 @@ class TextureError(DetangledError):
 
 
 class ModelError(DetangledError):
-    """A model or fitted texture is missing, damaged or of another version."""
+    """A model or fitted texture is damaged or of another version."""
 
     exit_code = 4
 

@@ -23,15 +23,16 @@ from detangled.geometry.arc import arc_lengths
 from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
 from detangled.groom import Groom
-from detangled.grooming.guides import style_guides
+from detangled.grooming.guides import style_guides, usable_strands
 
 SUFFIX = ".texture"
 FORMAT = "detangled texture"
 METHOD = "patches"
 VERSION = 1
-CELLS = 512  # of a strand of median length, where its turns need no fewer
+MOST_CELLS = 512  # of a strand of median length
 CELLS_PER_TURN = 22.0  # five between neighbouring points of a strand with 4.4 a turn: means keep its curvature
 FEWEST_CELLS = 64  # of a strand of median length
+SHORTEST_CELLS = 8  # of any strand
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
 
@@ -73,25 +74,25 @@ def fit_patches(groom: Groom) -> FittedTexture:
 
     Raises TextureError where none of them can be used.
     """
-    guides = style_guides(groom)
-    if len(guides.kept) == 0:
+    kept = np.flatnonzero(usable_strands(groom))
+    if len(kept) == 0:
         raise TextureError(
-            f"none of the {groom.strand_count} target strands can be used: each has fewer than two distinct points "
-            "or a coordinate that is not finite"
+            f"none of the {groom.strand_count} target strands can be used: each has fewer than two distinct points, "
+            "a coordinate that is not finite, or is longer than 20 m (is the unit right?)"
         )
-    if len(guides.kept) > MOST_STRANDS:
-        chosen = np.linspace(0, len(guides.kept) - 1, MOST_STRANDS).round().astype(np.int64)
-        guides = style_guides(groom.select(guides.kept[chosen]))
+    if len(kept) > MOST_STRANDS:
+        kept = kept[np.linspace(0, len(kept) - 1, MOST_STRANDS).round().astype(np.int64)]
+    guides = style_guides(groom.select(kept))
     offsets = guides.groom.offsets
     canonical = guides.canonical()
     arcs = arc_lengths(canonical, offsets)
     radius, wavelength = winding(canonical, offsets)
 
     median_arc = float(np.median(arcs))
-    coarse = signals(canonical, offsets, np.arange(len(offsets), dtype=np.int64) * CELLS)
+    coarse = signals(canonical, offsets, np.arange(len(offsets), dtype=np.int64) * MOST_CELLS)
     turn = min(_arc_of_a_turn(coarse), median_arc)
-    cell_width = float(np.clip(turn / CELLS_PER_TURN, median_arc / CELLS, median_arc / FEWEST_CELLS))
-    cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), 8)
+    cell_width = float(np.clip(turn / CELLS_PER_TURN, median_arc / MOST_CELLS, median_arc / FEWEST_CELLS))
+    cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), SHORTEST_CELLS)
     starts = np.concatenate([[0], np.cumsum(cells)])
     values = signals(canonical, offsets, starts)
     return FittedTexture(
@@ -155,9 +156,12 @@ def load_texture(path: str | Path) -> FittedTexture:
                 f"reads version {VERSION}, method {METHOD}: fit it again"
             )
         whitening = Whitening(**{name: tuple(value) for name, value in manifest["whitening"].items()})
+        values = arrays["signals"].astype(np.float64, casting="safe")
+        starts = arrays["starts"].astype(np.int64, casting="safe")
+        _check_arrays(values, starts)
         return FittedTexture(
-            signals=_checked(arrays["signals"], 2),
-            starts=_checked(arrays["starts"], 1),
+            signals=values,
+            starts=starts,
             whitening=whitening,
             schedule=PatchSchedule(**manifest["schedule"]),
             method=METHOD,
@@ -166,11 +170,19 @@ def load_texture(path: str | Path) -> FittedTexture:
                 for name in ("cell_width", "turn", "median_arc", "arc_per_axis", "radius", "wavelength")
             },
         )
-    except (*DAMAGE, AttributeError, IndexError) as error:
+    except (*DAMAGE, AttributeError, IndexError, OverflowError) as error:
         raise ModelError(f"{path}: not a texture made by detangled fit, or damaged ({type(error).__name__})") from error
 
 
-def _checked(array: NDArray[np.generic], dimensions: int) -> NDArray:
-    if array.ndim != dimensions or not np.all(np.isfinite(array)):
-        raise ValueError("an array of another shape, or not finite")
-    return array
+def _check_arrays(values: NDArray[np.float64], starts: NDArray[np.int64]) -> None:
+    """Raise ValueError where the arrays of a file are not those of a texture."""
+    if values.ndim != 2 or values.shape[1] != 3 or not np.isfinite(values).all():
+        raise ValueError("signals of another shape, or not finite")
+    if starts.ndim != 1 or len(starts) < 2 or starts[0] != 0 or starts[-1] != len(values) or np.diff(starts).min() < 1:
+        raise ValueError("strands that do not fit the signals")
+
+
+def _positive(value: float) -> float:
+    if not 0.0 < float(value) < float("inf"):
+        raise ValueError("a length that is not positive")
+    return float(value)

@@ -72,8 +72,8 @@ def retexture(
     guides = style_guides(groom)
     if len(guides.kept) == 0:
         raise ReadError(
-            f"none of the {groom.strand_count} strands can be used: each has fewer than two distinct points or a "
-            "coordinate that is not finite"
+            f"none of the {groom.strand_count} strands can be used: each has fewer than two distinct points, a "
+            "coordinate that is not finite, or is longer than 20 m (is the unit right?)"
         )
     goals = guides.lengths
     if options.length is Length.STRAND:
@@ -101,9 +101,11 @@ def retexture(
         values, starts = synthesise(texture, arcs[members], names, options.seed, options.steps, progress)
         made = strands_on_guides(values, starts, seats.select(members), options.length)
         reached[members] = made.reached
-        wanted = _points_wanted(texture, made.points, made.offsets, guides.groom.point_counts[members])
-        counts = wanted if options.max_points is None else np.minimum(wanted, max(options.max_points, 2))
-        per_turn[members] = POINTS_PER_TURN * counts / wanted
+        needed = _points_needed(texture, made.points, made.offsets)
+        counts = np.maximum(needed, guides.groom.point_counts[members])
+        if options.max_points is not None:
+            counts = np.minimum(counts, max(options.max_points, 2))
+        per_turn[members] = POINTS_PER_TURN * np.minimum(counts / needed, 1.0)
         offsets = np.concatenate([[0], np.cumsum(counts)])
         points = resample(made.points, made.offsets, offsets)
         points[offsets[:-1]] = guides.groom.points[guides.groom.offsets[members]]
@@ -158,9 +160,8 @@ def _generator(seed: int, name: int) -> np.random.Generator:
     return np.random.default_rng([seed, int(name), 1])
 
 
-def _points_wanted(
-    texture: FittedTexture, points: NDArray[np.float64], offsets: NDArray[np.int64], old: NDArray[np.int64]
+def _points_needed(
+    texture: FittedTexture, points: NDArray[np.float64], offsets: NDArray[np.int64]
 ) -> NDArray[np.int64]:
-    """Points (S,) that give every turn of the texture enough, and a strand no fewer than it had."""
-    arcs = arc_lengths(points, offsets)
-    return np.maximum(np.ceil(POINTS_PER_TURN * arcs / texture.turn).astype(np.int64) + 1, old)
+    """Points (S,) that give every turn of the texture enough."""
+    return np.ceil(POINTS_PER_TURN * arc_lengths(points, offsets) / texture.turn).astype(np.int64) + 1

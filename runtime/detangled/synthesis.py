@@ -18,7 +18,7 @@ from detangled.diffusion.steering import steer_strands
 from detangled.fitted import FittedTexture
 
 BATCH = 128  # strands denoised at once: some megabytes
-CELL_MULTIPLE = 16  # the networks' grids halve four times
+CELL_MULTIPLE = 16  # strands of nearly one length share a grid, and so a batch
 OFFERED = 12  # examples offered to each stretch of a strand
 FEWEST_STRETCHES = 2
 WIDEST_SHARE = 0.8  # of a stretch: the half-width of its widest patches

@@ -2,8 +2,6 @@
 
 from __future__ import annotations
 
-import re
-
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,8 +14,6 @@ TYPICAL_DIAGONAL_CM = 35.0
 GUESSED_UNITS = ("m", "cm", "mm")
 POINTS_TO_GUESS_FROM = 20_000
 STRAY_QUANTILES = (0.01, 0.99)
-
-_LENGTH = re.compile(r"\s*([-+]?(?:\d+\.?\d*|\.\d+)(?:[eE][-+]?\d+)?)\s*([a-zA-Z]*)\s*")
 
 
 def guess_unit(points: NDArray[np.floating]) -> str:
@@ -51,14 +47,3 @@ def unit_name(cm: float) -> str:
         if abs(cm - size) <= 1e-9 * size:
             return name
     return f"{cm:g} cm"
-
-
-def parse_length(text: str) -> float:
-    """Read what a person types for a length (``4mm``, ``0.4cm``, ``0.4``: bare numbers are cm) as cm.
-
-    Raises ValueError with a sentence for the person where it is not one.
-    """
-    match = _LENGTH.fullmatch(text)
-    if match is None or (match[2] and match[2] not in CM_PER_UNIT):
-        raise ValueError(f"{text!r} is not a length: type 4mm, 0.4cm or a bare number of centimetres")
-    return float(match[1]) * CM_PER_UNIT[match[2] or "cm"]

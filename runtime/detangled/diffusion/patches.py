@@ -19,6 +19,7 @@ from numpy.typing import NDArray
 from detangled.kernels import kernel, parallel_kernel, prange, vector_kernel
 
 NEGLIGIBLE = -30.0  # logarithm of a weight, relative to the largest, that changes nothing in float64
+FEW_SPREAD = 0.25  # where examples are few, how far along, as a share of its length, one is offered away from its place
 NO_PATCH = -1e300  # score where an example has no cell
 
 
@@ -26,7 +27,7 @@ NO_PATCH = -1e300  # score where an example has no cell
 class PatchSchedule:
     """Half-widths of patches, in cells, by noise level: geometric in sigma / alpha between two levels.
 
-    widest, narrowest: half-widths at and beyond the two levels.
+    widest, narrowest: half-widths at and beyond the two levels; the widest is cut to what a stretch allows.
     high, low: noise levels sigma / alpha.
     window: how far, in cells, an example's position may lie from where the strand's own falls in it.
     """
@@ -36,6 +37,10 @@ class PatchSchedule:
     high: float = 4.0
     low: float = 0.1
     window: int = 24
+
+    def __post_init__(self) -> None:
+        if not (1 <= self.narrowest <= self.widest and 0.0 < self.low < self.high and self.window >= 0):
+            raise ValueError(f"not a schedule of patches: {self}")
 
     def half_width(self, alpha: float, sigma: float) -> int:
         """Half-width of the patches at this noise level."""
@@ -309,12 +314,11 @@ def plan_stretches(
         chosen[k, -1] = rng.choice(long_enough) if len(long_enough) else np.argmax(lengths)
     length = lengths[chosen]
     middle = 0.5 * (bounds[:-1] + bounds[1:])[:, None]
-    spread = np.abs(length - cells) if len(lengths) >= stretches * offered else np.maximum(length, cells)
     shorter = rng.uniform(0.0, 1.0, chosen.shape) * np.maximum(length - cells, 0)
     longer = np.where(length < cells, middle * (length / cells - 1.0), 0.0)
     jitter = np.zeros(chosen.shape)
     if len(lengths) < stretches * offered:
-        jitter = rng.uniform(-0.25, 0.25, chosen.shape) * np.minimum(length, spread)
+        jitter = rng.uniform(-FEW_SPREAD, FEW_SPREAD, chosen.shape) * length
     diagonals = np.round(shorter + longer + jitter).astype(np.int64)
     # As much of the stretch as can should lie inside the example.
     lowest = np.minimum(-bounds[:-1, None], length - bounds[1:, None])

@@ -45,7 +45,7 @@ def _advance(frame: NDArray[np.float64], bend: float, twist: float) -> None:
 def steer_strand(kappa: NDArray[np.float64], tau: NDArray[np.float64], step: float, turn: float) -> None:
     """Straighten the axis of one strand by changing ``kappa`` and ``tau`` (L,) [1/cm] in place.
 
-    step: arc length of a cell [cm]. turn: arc length of a turn [cm]. The axis is not known within a turn of the
+    step: arc length of a cell [cm]. turn: arc length of a turn [cm]. The axis is not known near the
     ends, where it is taken to go straight on.
     """
     cells = kappa.shape[0]

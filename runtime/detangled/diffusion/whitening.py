@@ -24,6 +24,12 @@ class Whitening:
     mean: tuple[float, ...]
     deviation: tuple[float, ...]
 
+    def __post_init__(self) -> None:
+        if (len(self.scale), len(self.mean), len(self.deviation)) != (2, 3, 3):
+            raise ValueError("whitening takes 2 scales, 3 means and 3 deviations")
+        if not all(value > 0.0 for value in (*self.scale, *self.deviation)):
+            raise ValueError("scales and deviations must be positive")
+
     @classmethod
     def of(cls, signals: list[NDArray[np.float64]]) -> Whitening:
         """The whitening that suits these signals, each (L, 3)."""

@@ -53,6 +53,22 @@ def _arc_lengths(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDA
     return out
 
 
+@parallel_kernel
+def arc_positions(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Arc length (P,) [cm] from each strand's root to its points, of the smooth curve through them (P, 3).
+
+    The polyline's length, scaled to the curve's over the whole strand. Each strand is summed up by itself.
+    """
+    out = np.zeros(points.shape[0])
+    for s in prange(offsets.shape[0] - 1):
+        strand = points[offsets[s] : offsets[s + 1]]
+        along = chord_lengths(strand)
+        if along[-1] > 0.0:
+            along *= arc_length(distinct_points(strand)) / along[-1]
+        out[offsets[s] : offsets[s + 1]] = along
+    return out
+
+
 @kernel
 def resample_strand(points: NDArray[np.float64], count: int) -> NDArray[np.float64]:
     """``count`` points (count, 3), evenly along the spline through distinct points (n, 3), both ends kept."""

@@ -1,4 +1,4 @@
-"""Radius and wavelength of canonical strands by counting how they wind about the axis, with no network.
+"""Radius and wavelength of canonical strands by counting how they wind about the axis.
 
 In canonical space r = sqrt(x^2 + y^2) and the angle phi = atan2(y, x): the radius is the mean of r, values beyond
 three standard deviations left out (paper section "Style guide resampling"); the wavelength is the axis' length per

@@ -16,6 +16,8 @@ from detangled.kernels import parallel_kernel, prange
 
 # Float32 files resolve a head's coordinates to about this much [cm]; a strand within it is a single point.
 LEAST_EXTENT = 1e-6
+# No hair is longer than some metres: beyond this [cm] a coordinate is damaged, or the unit is wrong.
+GREATEST_EXTENT = 2e3
 
 
 @dataclass(frozen=True)
@@ -42,7 +44,7 @@ class StyleGuides:
 
 
 def usable_strands(groom: Groom) -> NDArray[np.bool_]:
-    """Which strands (S,) have finite coordinates throughout and at least two distinct points."""
+    """Which strands (S,) have finite coordinates throughout, at least two distinct points, and a hair's extent."""
     counts = groom.point_counts
     strand = np.repeat(np.arange(groom.strand_count), counts)
     finite = np.isfinite(groom.points).all(axis=1)
@@ -55,7 +57,7 @@ def usable_strands(groom: Groom) -> NDArray[np.bool_]:
             span = np.maximum.reduceat(groom.points, first) - np.minimum.reduceat(groom.points, first)
         extent[filled] = span.max(axis=1)
     with np.errstate(invalid="ignore"):
-        return ok & (counts >= 2) & (extent > LEAST_EXTENT)
+        return ok & (counts >= 2) & (extent > LEAST_EXTENT) & (extent < GREATEST_EXTENT)
 
 
 def style_guides(groom: Groom) -> StyleGuides:
@@ -105,12 +107,13 @@ def resampled_attributes(groom: Groom, offsets: NDArray[np.int64]) -> tuple[dict
     lost: list[str] = []
     counts = np.diff(offsets)
     strand = np.repeat(np.arange(groom.strand_count), counts)
-    share = (np.arange(offsets[-1]) - offsets[strand]) / np.maximum(counts[strand] - 1, 1)
     old = groom.point_counts[strand]
-    at = groom.offsets[strand] + share * (old - 1)
-    below = np.minimum(at.astype(np.int64), groom.offsets[strand] + np.maximum(old - 2, 0))
-    above = np.minimum(below + 1, groom.offsets[strand + 1] - 1)
-    part = at - below
+    # Exact where the counts are equal: a strand that passed through keeps its values to the bit.
+    at = (np.arange(offsets[-1]) - offsets[strand]) * (old - 1) / np.maximum(counts[strand] - 1, 1)
+    whole = np.minimum(at.astype(np.int64), old - 1)
+    part = at - whole
+    below = groom.offsets[strand] + whole
+    above = groom.offsets[strand] + np.minimum(whole + 1, old - 1)
     for name, attribute in groom.attributes.items():
         if attribute.scope is not Scope.POINT:
             kept[name] = attribute
@@ -118,7 +121,9 @@ def resampled_attributes(groom: Groom, offsets: NDArray[np.int64]) -> tuple[dict
             lost.append(f"attribute {name!r} was not kept: it belongs to the strands' old points")
         elif np.issubdtype(attribute.values.dtype, np.floating):
             weight = part.reshape((-1,) + (1,) * (attribute.values.ndim - 1))
-            mixed = attribute.values[below] * (1.0 - weight) + attribute.values[above] * weight
+            low, high = attribute.values[below], attribute.values[above]
+            with np.errstate(invalid="ignore"):
+                mixed = np.where(weight == 0.0, low, low * (1.0 - weight) + high * weight)
             kept[name] = Attribute(mixed.astype(attribute.values.dtype), Scope.POINT)
         else:
             kept[name] = Attribute(attribute.values[np.where(part < 0.5, below, above)], Scope.POINT)

@@ -1,7 +1,8 @@
 """New strands exactly as long as they should be, on their guides.
 
 Paper section "Adjusting Strand Length": v is scaled by a constant, which keeps curvature and torsion per centimetre
-and so the texture. What is left over, a percent or two, is cut off the tip.
+and so the texture. What is left over, up to a few percent, is cut off the tip; strands of few turns are made longer
+and cut.
 """
 
 from __future__ import annotations
@@ -13,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.geometry.arc import arc_lengths
+from detangled.geometry.arc import arc_positions
 from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import curve_counts, curves
 from detangled.groom import Groom
@@ -26,6 +27,8 @@ from detangled.grooming.placing import cut, place
 MOST_CUT = 0.04
 STRICT_ROUNDS = 3
 MOST_ROUNDS = 12
+MOST_SCALE = 4.0  # of v in one round: a strand that curls back on itself may have hardly any axial length
+OFF_AXIS = 0.1  # an old root further out than this share of the new one's distance has a direction to keep
 STYLELESS_TURNS = 24.0  # a new strand's axis may bend no more sharply than that of a coil of so many turns
 
 
@@ -65,7 +68,7 @@ class Seats:
         )
 
 
-class Fitted(NamedTuple):
+class Seated(NamedTuple):
     """World-space strands (P, 3) [cm], finely sampled, their offsets (S + 1,), and how much of its length each has."""
 
     points: NDArray[np.float64]
@@ -73,7 +76,7 @@ class Fitted(NamedTuple):
     reached: NDArray[np.float64]
 
 
-def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats, length: Length) -> Fitted:
+def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats, length: Length) -> Seated:
     """Build strands of signals (C, 3), those of strand s from row starts[s] on, on their guides at their lengths."""
     values = values.copy()
     count = len(starts) - 1
@@ -86,7 +89,9 @@ def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], se
         longest = (1.0 + MOST_CUT) * goals
         longest[seats.short[todo] | (rounds > STRICT_ROUNDS)] = np.inf
         ready = (lengths >= goals) & (lengths <= longest) | (rounds == MOST_ROUNDS)
-        scale = np.clip((1.0 + 0.5 * MOST_CUT * rounds) * goals / np.maximum(lengths, 1e-12), 0.25, 4.0)
+        scale = np.clip(
+            (1.0 + 0.5 * MOST_CUT * rounds) * goals / np.maximum(lengths, 1e-12), 1.0 / MOST_SCALE, MOST_SCALE
+        )
         reached[todo] = np.minimum(lengths / goals, 1.0)
         for k, index in enumerate(todo):
             if ready[k]:
@@ -96,7 +101,7 @@ def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], se
         todo = todo[~ready]
         if len(todo) == 0:
             break
-    return Fitted(np.concatenate(done), np.concatenate([[0], np.cumsum([len(d) for d in done])]), reached)
+    return Seated(np.concatenate(done), np.concatenate([[0], np.cumsum([len(d) for d in done])]), reached)
 
 
 def _built(
@@ -116,7 +121,7 @@ def _built(
     angles = _angles(canonical[offsets[:-1]], seats.roots, seats.turns)
     world = place(canonical, offsets, seats.guides.points, seats.guides.offsets, seats.roots, angles)
     if length is Length.STRAND:
-        along = _arc_positions(world, offsets)
+        along = arc_positions(world, offsets)
         lengths = along[offsets[1:] - 1]
         world, offsets = cut(world, offsets, along, seats.goals)
     return world, offsets, lengths
@@ -127,29 +132,18 @@ def _without_roots(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Strands without their first ``dropped`` (S,) [cm], and their offsets."""
     counts = np.diff(offsets)
-    kept = _arc_positions(canonical, offsets) >= dropped.repeat(counts)
+    kept = arc_positions(canonical, offsets) >= dropped.repeat(counts)
     # Two points are left of any strand.
     kept[offsets[1:] - 1] = True
     kept[offsets[1:] - 2] = True
     return canonical[kept], np.concatenate([[0], np.cumsum(np.add.reduceat(kept.astype(np.int64), offsets[:-1]))])
 
 
-def _arc_positions(world: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Arc length (P,) [cm] from each strand's root to its points, of the smooth curve through them."""
-    steps = np.zeros(len(world))
-    steps[1:] = np.linalg.norm(np.diff(world, axis=0), axis=1)
-    steps[offsets[:-1]] = 0.0
-    total = np.cumsum(steps)
-    counts = np.diff(offsets)
-    chord = total - total[offsets[:-1]].repeat(counts)
-    return chord * (arc_lengths(world, offsets) / chord[offsets[1:] - 1]).repeat(counts)
-
-
 def _angles(starts: NDArray[np.float64], roots: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:
     """Angles (S,) to turn strands by: the new root over the old one where that lies off its guide, else at random."""
     new = np.arctan2(starts[:, 1], starts[:, 0])
     old = np.arctan2(roots[:, 1], roots[:, 0])
-    off = np.hypot(roots[:, 0], roots[:, 1]) > 0.1 * np.hypot(starts[:, 0], starts[:, 1])
+    off = np.hypot(roots[:, 0], roots[:, 1]) > OFF_AXIS * np.hypot(starts[:, 0], starts[:, 1])
     return np.where(off, old - new, turns)
 
 

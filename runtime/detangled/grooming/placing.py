@@ -154,15 +154,14 @@ def cut(
     strands = len(offsets) - 1
     strand = np.repeat(np.arange(strands), np.diff(offsets))
     beyond = np.flatnonzero(measure >= ends[strand])
+    hit, where = np.unique(strand[beyond], return_index=True)
     last = offsets[1:] - 1
-    if len(beyond):
-        hit, where = np.unique(strand[beyond], return_index=True)
-        last = last.copy()
-        last[hit] = np.maximum(beyond[where], offsets[hit] + 1)
+    last[hit] = np.maximum(beyond[where], offsets[hit] + 1)
+    end = last[hit]
+    low = measure[end - 1]
+    rise = measure[end] - low
+    part = np.clip((ends[hit] - low) / np.where(rise > 0.0, rise, 1.0), 1e-6, 1.0)
     new = points.copy()
-    low = measure[last - 1]
-    rise = measure[last] - low
-    part = np.where((measure[last] >= ends) & (rise > 0), (ends - low) / np.where(rise > 0, rise, 1.0), 1.0)
-    new[last] = points[last - 1] + np.clip(part, 1e-6, 1.0)[:, None] * (points[last] - points[last - 1])
+    new[end] = points[end - 1] + part[:, None] * (points[end] - points[end - 1])
     rows = np.flatnonzero(np.arange(len(points)) <= last[strand])
     return new[rows], np.concatenate([[0], np.cumsum(last - offsets[:-1] + 1)])
