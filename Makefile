@@ -25,7 +25,7 @@ lint: $(TESTABLE)
 bench: $(TESTABLE)
 	@failed=; for name in formats geometry patches fidelity retexture pipeline; do \
 		[ -f benchmarks/$$name.py ] || continue; \
-		case $$name in fidelity) strands=examples/coily_strands.obj ;; *) strands= ;; esac; \
+		case $$name in fidelity) strands=$(firstword $(wildcard $(GROOMS)/coily_swatch.obj) examples/coily_strands.obj) ;; *) strands= ;; esac; \
 		echo "== benchmarks/$$name.py $$strands"; \
 		DETANGLED_GROOMS="$(GROOMS)" $(BIN)/python benchmarks/$$name.py $$strands || failed="$$failed $$name"; \
 	done; \

@@ -22,7 +22,7 @@ DAMAGE = (
     ValueError,
     EOFError,
     KeyError,
-    RuntimeError,  # encrypted members, and NotImplementedError
+    RuntimeError,  # an encrypted member, or one packed in a way that zipfile does not know
     SyntaxError,
     TypeError,
 )

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 import json
 from dataclasses import asdict, dataclass, field
+from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
 
@@ -62,6 +63,11 @@ class FittedTexture:
     @property
     def strand_count(self) -> int:
         return len(self.starts) - 1
+
+    @cached_property
+    def channels(self) -> NDArray[np.float64]:
+        """The signals whitened, (3, C): each strand by itself, since v is taken per cell."""
+        return np.concatenate([self.whitening.whiten(self.signals[a:b]) for a, b in pairwise(self.starts)], axis=1)
 
     @property
     def cells(self) -> NDArray[np.int64]:

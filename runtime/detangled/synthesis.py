@@ -87,13 +87,7 @@ def _patch_denoiser(texture: FittedTexture, cells: int, generators: list[np.rand
     plans = [plan_stretches(rng, lengths, cells, bounds, min(OFFERED, max(len(lengths), 4))) for rng in generators]
     chosen = np.stack([plan[0] for plan in plans])
     diagonals = np.stack([plan[1] for plan in plans])
-    examples = np.concatenate(
-        [
-            texture.whitening.whiten(texture.signals[a:b])
-            for a, b in zip(texture.starts[:-1], texture.starts[1:], strict=True)
-        ],
-        axis=1,
-    )
+    examples = texture.channels
     widest = max(1, int(WIDEST_SHARE * cells / stretches))
     schedule = texture.schedule
 
