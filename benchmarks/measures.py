@@ -19,12 +19,13 @@ from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import signals
 from detangled.geometry.spline import chord_lengths, distinct_points, spline_sample, spline_slopes
 from detangled.grooming.guides import style_guides
+from detangled.grooming.placing import place
 
 # A guide of 50 cm is then sampled every 0.25 mm: a hundredth of a turn.
 GUIDE_SAMPLES = 2000
 SHIFTS = 40  # cells by which two strands may be shifted to find where they are most alike
 LEAST_OVERLAP = 0.8
-SPLITS = 20
+FEWEST_PIECE_SEGMENTS = 100
 FEWEST_CELLS = 8  # of a strand whose signal is looked at
 
 Floats = NDArray[np.float64]
@@ -38,8 +39,11 @@ class Canonical:
     offsets: NDArray[np.int64]
 
     def strands(self) -> Iterator[Floats]:
-        for a, b in pairwise(self.offsets):
-            yield self.points[a:b]
+        yield from rows(self.points, self.offsets)
+
+    def select(self, chosen: NDArray[np.int64]) -> Canonical:
+        groom = Groom(self.points, self.offsets).select(chosen)
+        return Canonical(groom.points, groom.offsets)
 
 
 def rows(points: Floats, offsets: NDArray[np.int64]) -> Iterator[Floats]:
@@ -55,28 +59,19 @@ def smooth(points: Floats, count: int = GUIDE_SAMPLES) -> Floats:
     return spline_sample(t, knots, spline_slopes(t, knots), np.linspace(0.0, t[-1], count + 1))
 
 
-def tip_position(tip: Floats, guide: Floats) -> tuple[float, float]:
-    """Arc length s [cm] on a guide at which a tip lies, and the guide's own arc length.
+def beyond_end(tip: Floats, guide: Floats) -> tuple[float, float]:
+    """How far [cm] a tip lies beyond (+) or before (-) the plane across its guide's end, and the guide's arc length.
 
-    That is (tip - G(s)) . T(s) = 0, the solution nearest to the guide's end; beyond it the guide goes straight on.
+    Not the place on the guide nearest to the tip: where a guide bends more tightly than the strand is wide, several
+    places are.
     """
     curve = smooth(guide)
-    along = chord_lengths(curve)
-    tangent = np.gradient(curve, axis=0, edge_order=2)
-    tangent /= np.linalg.norm(tangent, axis=1)[:, None]
-    ahead = np.einsum("ij,ij->i", tip - curve, tangent)
-    if ahead[-1] >= 0.0:
-        return float(along[-1] + ahead[-1]), float(along[-1])
-    before = np.flatnonzero(ahead >= 0.0)
-    if len(before) == 0:
-        return float(ahead[0]), float(along[-1])
-    k = before[-1]
-    part = ahead[k] / (ahead[k] - ahead[k + 1])
-    return float(along[k] + part * (along[k + 1] - along[k])), float(along[-1])
+    tangent = np.gradient(curve[-3:], axis=0, edge_order=2)[-1]
+    return float((tip - curve[-1]) @ tangent / np.linalg.norm(tangent)), float(chord_lengths(curve)[-1])
 
 
 def guide_length_errors(groom: Groom, guides: Groom) -> Floats:
-    """How far tips lie beyond (+) or before (-) their guides' ends, over the guides' arc lengths, (S,).
+    """How far tips lie beyond (+) or before (-) their guides' ends, as shares of the guides' arc lengths, (S,).
 
     What float32 coordinates cannot resolve is not counted: a combed-over hair may be a tenth of a millimetre long.
     """
@@ -84,8 +79,8 @@ def guide_length_errors(groom: Groom, guides: Groom) -> Floats:
     for i, (strand, guide) in enumerate(
         zip(rows(groom.points, groom.offsets), rows(guides.points, guides.offsets), strict=True)
     ):
-        s, length = tip_position(strand[-1], guide)
-        out[i] = _beyond_rounding(s - length, strand, groom.unit_cm) / length
+        beyond, length = beyond_end(strand[-1], guide)
+        out[i] = _beyond_rounding(beyond, strand, groom.unit_cm) / length
     return out
 
 
@@ -127,6 +122,11 @@ def refined(groom: Groom, step: float) -> Groom:
     )
 
 
+def in_world(groom: Groom) -> Canonical:
+    """The strands as they lie, style and all."""
+    return Canonical(groom.points, groom.offsets)
+
+
 def own_axis(groom: Groom) -> Canonical:
     """The strands in the canonical space of their own guides, extracted anew."""
     guides = style_guides(groom)
@@ -136,7 +136,11 @@ def own_axis(groom: Groom) -> Canonical:
 
 
 def given_axis(groom: Groom, guides: Groom) -> Canonical:
-    """The strands in the canonical space of given guides: each point in the frame of the guide's nearest point."""
+    """The strands in the canonical space of given guides: each point in the frame of the place it lies across from.
+
+    That is where (p - G(s)) . T(s) = 0. Where a guide bends more tightly than the strand is wide there are several
+    such places: taken is the one nearest to the last point's, from the root on.
+    """
     out = np.empty_like(groom.points)
     for i in range(groom.strand_count):
         strand = groom.strand(i)
@@ -152,14 +156,55 @@ def given_axis(groom: Groom, guides: Groom) -> Canonical:
                 curve[-1] + last / np.linalg.norm(last) * steps,
             ]
         )
-        nearest = cKDTree(curve).query(strand)[1]
-        ahead = np.minimum(nearest + 1, len(curve) - 1)
-        forward = np.einsum("ij,ij->i", strand - curve[nearest], curve[ahead] - curve[nearest]) >= 0.0
-        k = np.clip(np.where(forward, nearest, nearest - 1), 0, len(curve) - 2)
-        here = np.einsum("ijk,ik->ij", guide_frames(curve)[k], strand - curve[k])
-        here[:, 2] -= chord_lengths(curve)[k] - beyond
-        out[groom.offsets[i] : groom.offsets[i + 1]] = here
+        frames, along = guide_frames(curve), chord_lengths(curve)
+        down = -frames[:, 2]
+        ahead = strand @ down.T - np.einsum("ij,ij->i", curve, down)
+        crossings = (ahead[:, :-1] >= 0.0) & (ahead[:, 1:] < 0.0)
+        here = beyond
+        for j in range(len(strand)):
+            found = np.flatnonzero(crossings[j])
+            k = found[np.argmin(np.abs(along[found] - here))] if len(found) else len(down) - 2
+            part = ahead[j, k] / (ahead[j, k] - ahead[j, k + 1])
+            here = along[k] + part * (along[k + 1] - along[k])
+            foot = curve[k] + part * (curve[k + 1] - curve[k])
+            frame = frames[k] + part * (frames[k + 1] - frames[k])
+            out[groom.offsets[i] + j] = frame @ (strand[j] - foot)
+            out[groom.offsets[i] + j, 2] += beyond - here
     return Canonical(out, groom.offsets)
+
+
+def axial_lengths(canonical: Canonical) -> Floats:
+    """How far down the axis each strand reaches, (S,) [cm]."""
+    return np.array([-strand[:, 2].min() for strand in canonical.strands()])
+
+
+def pieces_on_guides(targets: Canonical, groom: Groom, guides: Groom, rng: np.random.Generator) -> Groom:
+    """Strands on a groom's guides, each a piece of a random target that is as long along the axis as the guide.
+
+    Guides must be shorter than the shortest target.
+
+    What retexturing would give at best: the targets' own texture, seated at the same roots.
+    """
+    usable = style_guides(groom)
+    roots = usable.canonical()[usable.groom.offsets[:-1]]
+    pieces = []
+    for length in usable.lengths:
+        k = rng.integers(len(targets.offsets) - 1)
+        pieces.append(_piece(targets.points[targets.offsets[k] : targets.offsets[k + 1]], float(length), rng))
+    canonical = Groom.from_strands(pieces)
+    angles = rng.uniform(-np.pi, np.pi, groom.strand_count)
+    points = place(canonical.points, canonical.offsets, guides.points, guides.offsets, roots, angles)
+    return Groom(points, canonical.offsets)
+
+
+def _piece(strand: Floats, length: float, rng: np.random.Generator) -> Floats:
+    """A random piece of a canonical strand, ``length`` [cm] along its axis or up to the strand's tip."""
+    down = -strand[:, 2]
+    first = np.flatnonzero(down >= rng.uniform(0.0, down.max() - length))[0]
+    beyond = np.flatnonzero(down[first:] >= down[first] + length)
+    piece = strand[first : first + beyond[0] + 1] if len(beyond) else strand[first:]
+    # Enough points to follow the guide that it is bent onto.
+    return smooth(piece, max(len(piece) - 1, FEWEST_PIECE_SEGMENTS))
 
 
 def middle_radius(canonical: Canonical) -> Floats:
@@ -195,17 +240,6 @@ def wasserstein(a: list[Floats], b: list[Floats]) -> tuple[float, float]:
         float(wasserstein_distance(x[:, 0], y[:, 0])),
         float(wasserstein_distance(np.abs(x[:, 1]), np.abs(y[:, 1]))),
     )
-
-
-def wasserstein_floor(real: list[Floats], rng: np.random.Generator) -> tuple[float, float]:
-    """The distances between two random halves of real strands, medians over splits."""
-    found = []
-    for _ in range(SPLITS):
-        order = rng.permutation(len(real))
-        half = len(real) // 2
-        found.append(wasserstein([real[i] for i in order[:half]], [real[i] for i in order[half:]]))
-    kappa, tau = np.median(found, axis=0)
-    return float(kappa), float(tau)
 
 
 @dataclass(frozen=True)

@@ -43,6 +43,9 @@ GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parent
 
 EVERY = {"eve": 10, "bob": 2, "combover": 50, "straight": 1}  # strands measured by default: every so many
 SAMPLE = 48  # strands of the measures that compare all with all
+HALVINGS = 5
+LONGER, SHORTER = "longer than targets", "shorter than targets"
+FEWEST_COMPARED = 10
 HELD_OUT = 200  # new strands compared with targets that their texture was not fitted to
 LENGTH_BOUND = 1e-3
 GUIDE_BOUND = 1.0  # target radii
@@ -56,7 +59,7 @@ STRAIGHT_RADIUS = 0.02  # [cm] two hairs' widths
 LEAST_CURVATURE = 0.01  # [1/cm]
 FEWEST_WAVELENGTHS = 6.0
 FEWEST_TURNS = 7.5  # that the shortest strands are synthesised with, before they are cut to length
-POINTS_PER_TURN = 12
+POINTS_PER_TURN = 16
 
 
 @dataclass
@@ -159,7 +162,7 @@ def measure(job: Job, column: Column) -> None:
     real = measures.strand_signals(aims, texture.cell_width)
     made = measures.strand_signals(measures.mixed(own, given, long), texture.cell_width)
     likeness(made, real, texture, straight, rng, column)
-    distributions(job, groom, guides, long, made, real, straight, rng, column)
+    distributions(job, groom, guides, aims, real, straight, rng, column)
     in_world(new, targets, texture.cell_width, column)
     axis_wander(texture, usable.lengths, job.seed, rng, column)
 
@@ -252,37 +255,59 @@ def distributions(
     job: Job,
     groom: Groom,
     guides: Groom,
-    long: np.ndarray,
-    made: list[np.ndarray],
+    aims: measures.Canonical,
     real: list[np.ndarray],
     straight: bool,
     rng: np.random.Generator,
     column: Column,
 ) -> None:
-    """Wasserstein-1 of kappa and |tau| to targets that the fit has not seen, and of the whole fit to all of them."""
+    """Wasserstein-1 of kappa and |tau| to targets that the fit has not seen, over the distance of those two halves.
+
+    Means over several halvings. Strands whose guide is shorter than any target are compared as they lie in the world,
+    style and all, with pieces of held-out targets as long as they are and set on the same guides; the distance of the
+    halves is then that of such pieces too. Longer ones are straightened about the input's guide, and compared with
+    whole targets.
+    """
     kinds = ("kappa",) if straight else ("kappa", "|tau|")
-    floor = [max(f, LEAST_CURVATURE) for f in measures.wasserstein_floor(real, rng)]
-    column.put("  halves of the targets: W1 of kappa, |tau| [1/cm]", ", ".join(f"{f:.3f}" for f in floor[: len(kinds)]))
-    order = rng.permutation(len(real))
-    seen, held_out = np.sort(order[: len(real) // 2]), order[len(real) // 2 :]
-    half = detangled.fit(job.targets.select(seen))
-    chosen = np.sort(rng.permutation(groom.strand_count)[:HELD_OUT])
-    few, few_guides = groom.select(chosen), guides.select(chosen)
-    new = job.retextured(few, half, Length.GUIDE)
-    canonical = measures.mixed(measures.own_axis(new), measures.given_axis(new, few_guides), long[chosen])
     # Cells of one width: wider ones would smooth more.
-    width = real[0][:, 2].mean() / len(real[0])
-    found = measures.strand_signals(canonical, float(width))
-    for name, distances in (
-        ("to held-out targets", measures.wasserstein(found, [real[i] for i in held_out])),
-        ("to all targets", measures.wasserstein(made, real)),
-    ):
-        for kind, value, least in zip(kinds, distances, floor, strict=False):
-            text = f"{value / least:.2f} ({value:.3f}/cm)"
-            if name == "to all targets":
-                column.put(f"  W1 of {kind} {name} [halves of the targets]", text)
+    width = float(real[0][:, 2].mean() / len(real[0]))
+    longer = style_guides(groom).lengths >= measures.axial_lengths(aims).min()
+    found: dict[str, list[tuple[tuple[float, float], tuple[float, float]]]] = {}
+    for _ in range(HALVINGS):
+        order = rng.permutation(len(real))
+        seen, held_out = np.sort(order[: len(real) // 2]), order[len(real) // 2 :]
+        chosen = np.sort(rng.permutation(groom.strand_count)[:HELD_OUT])
+        texture = detangled.fit(job.targets.select(seen))
+        new = job.retextured(groom.select(chosen), texture, Length.GUIDE)
+        on = guides.select(chosen)
+        for which, some in ((LONGER, longer[chosen]), (SHORTER, ~longer[chosen])):
+            rows = np.flatnonzero(some)
+            if len(rows) < FEWEST_COMPARED:
+                continue
+            if which == LONGER:
+                made_of_seen = measures.given_axis(new.select(rows), on.select(rows))
+                halves = [[real[i] for i in half] for half in (seen, held_out)]
             else:
-                put(column, f"W1 of {kind} {name} [halves of the targets]", value / least, WASSERSTEIN_BOUND, text)
+                made_of_seen = measures.in_world(new.select(rows))
+                pieces = [
+                    measures.pieces_on_guides(aims.select(half), groom.select(chosen[rows]), on.select(rows), rng)
+                    for half in (seen, held_out)
+                ]
+                halves = [measures.strand_signals(measures.in_world(piece), width) for piece in pieces]
+            signals = measures.strand_signals(made_of_seen, width)
+            distances = measures.wasserstein(signals, halves[1]), measures.wasserstein(*halves)
+            found.setdefault(which, []).append(distances)
+    for which, distances in found.items():
+        for kind, (value, floor) in zip(kinds, np.mean(distances, axis=0).T, strict=False):
+            least = max(float(floor), LEAST_CURVATURE)
+            text = f"{value / least:.2f} ({value:.3f} over {least:.3f}/cm)"
+            put(
+                column,
+                f"W1 of {kind} to held-out targets over their halves', {which}",
+                value / least,
+                WASSERSTEIN_BOUND,
+                text,
+            )
 
 
 def in_world(new: Groom, targets: Groom, cell_width: float, column: Column) -> None:
@@ -290,7 +315,7 @@ def in_world(new: Groom, targets: Groom, cell_width: float, column: Column) -> N
     for kind, channel in (("kappa", 0), ("|tau|", 1)):
         texts = []
         for groom in (new, targets):
-            found = measures.strand_signals(measures.Canonical(groom.points, groom.offsets), cell_width)
+            found = measures.strand_signals(measures.in_world(groom), cell_width)
             low, high = np.percentile(np.abs(np.concatenate(found)[:, channel]), [50, 90])
             texts.append(f"{low:.2f}, {high:.2f}")
         column.put(f"  {kind} in the world, median, 90 % [1/cm]", f"{texts[0]} (targets {texts[1]})")

@@ -255,7 +255,7 @@ def test_steering_straightens_a_wandering_axis(wandering: dict[str, NDArray[np.f
     (steered,) = steer_strands(signal[None], turn_of(signal))
     before, after = axis_wander(signal, 20.0), axis_wander(steered, 20.0)
     assert before > 1.25
-    assert after < 1.0 + 0.25 * (before - 1.0)
+    assert after < 1.0 + 0.5 * (before - 1.0)
     assert steered[:, 0].min() >= 0.0
     np.testing.assert_array_equal(steered[:, 2], signal[:, 2])
     # It turns the axis, not the curl: the middle of the strand's curvature stays what it was.

@@ -3,12 +3,14 @@
 from __future__ import annotations
 
 import numpy as np
+import pytest
 
 from detangled import Groom, Scope
 from detangled.geometry.arc import arc_positions
+from detangled.geometry.signal import finer_cells
 from detangled.groom import Attribute
 from detangled.grooming.guides import resampled_attributes, usable_strands
-from detangled.grooming.placing import cut
+from detangled.grooming.placing import bend_onto, cut
 
 
 def coil(turns: float, points: int, radius: float = 0.5, wavelength: float = 0.6) -> np.ndarray:
@@ -56,3 +58,41 @@ def test_attributes_keep_their_bits_where_point_counts_stay() -> None:
     ends = resampled_attributes(groom, shorter)[0]["width"].values
     assert ends[0] == width[0]
     assert ends[shorter[1:] - 1].tolist() == width[groom.offsets[1:] - 1].tolist()
+
+
+@pytest.mark.parametrize("radius", [0.4, 1.0, 3.0])
+def test_a_strand_keeps_its_frame_to_the_end_of_a_tightly_bent_guide(radius: float) -> None:
+    angle = np.linspace(0.0, 1.5, 12)
+    guide = radius * np.stack([np.sin(angle), np.zeros(12), np.cos(angle) - 1.0], axis=1)
+    length = 1.5 * radius
+    canonical = np.array([[0.0, 0.0, 0.0], [0.5, 0.3, -0.5 * length], [0.5, 0.3, -length]])
+    tip = bend_onto(canonical, guide)[-1]
+    tangent = np.array([np.cos(1.5), 0.0, -np.sin(1.5)])
+    # Across the guide's end, by the smooth curve through 12 points.
+    assert abs((tip - guide[-1]) @ tangent) < 1e-3 * length
+    assert np.linalg.norm(tip - guide[-1]) == pytest.approx(np.hypot(0.5, 0.3), abs=1e-3)
+
+
+def test_finer_cells_keep_each_cells_angle_and_make_no_negative_curvature() -> None:
+    rng = np.random.default_rng(5)
+    signal = np.stack([rng.gamma(0.5, 2.0, 64), 3.0 * rng.normal(size=64), rng.uniform(8.0, 12.0, 64)], axis=1)
+    signal[20, 0] = 0.0
+    fine = finer_cells(signal, 4)
+    np.testing.assert_allclose(fine.reshape(64, 4, 3).mean(axis=1), signal, atol=1e-9)
+    assert fine[:, 0].min() >= 0.0
+    helix = np.tile([1.8, 0.3, 20.0], (40, 1))
+    np.testing.assert_allclose(finer_cells(helix, 3), np.tile([1.8, 0.3, 20.0], (120, 1)), rtol=1e-9)
+
+
+def test_finer_cells_follow_a_smooth_signal() -> None:
+    edges = np.linspace(0.0, 1.0, 65)
+    fine_edges = np.linspace(0.0, 1.0, 257)
+
+    def means(at: np.ndarray) -> np.ndarray:
+        return 2.0 + np.diff(-np.cos(20.0 * at) / 20.0) / np.diff(at)
+
+    signal = np.stack([means(edges), -means(edges), np.ones(64)], axis=1)
+    found = finer_cells(signal, 4)[:, 0]
+    inner = slice(16, -16)
+    constant = np.abs(np.repeat(signal[:, 0], 4) - means(fine_edges))[inner].max()
+    assert np.abs(found - means(fine_edges))[inner].max() < 0.01 * constant

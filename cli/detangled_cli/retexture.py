@@ -52,7 +52,7 @@ from detangled_cli.console import (
     "--max-points",
     type=click.IntRange(min=2),
     metavar="N",
-    help="Most points a strand may have. Default: as many as the texture needs, 12 a turn.",
+    help="Most points a strand may have. Default: as many as the texture needs, 16 a turn.",
 )
 @click.option(
     "--target-unit",

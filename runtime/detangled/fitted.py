@@ -7,7 +7,7 @@ whose cells have one physical width.
 from __future__ import annotations
 
 import json
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from functools import cached_property
 from itertools import pairwise
 from pathlib import Path
@@ -25,6 +25,7 @@ from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
 from detangled.groom import Groom
 from detangled.grooming.guides import style_guides, usable_strands
+from detangled.grooming.placing import resample
 
 SUFFIX = ".texture"
 FORMAT = "detangled texture"
@@ -32,6 +33,7 @@ METHOD = "patches"
 VERSION = 1
 MOST_CELLS = 512  # of a strand of median length
 CELLS_PER_TURN = 22.0  # five between neighbouring points of a strand with 4.4 a turn: means keep its curvature
+POINTS_PER_TURN = 16  # of a new strand: with 12 the spread of its curvature is a percent narrower
 FEWEST_CELLS = 64  # of a strand of median length
 SHORTEST_CELLS = 8  # of any strand
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
@@ -88,15 +90,17 @@ def fit_patches(groom: Groom) -> FittedTexture:
         )
     if len(kept) > MOST_STRANDS:
         kept = kept[np.linspace(0, len(kept) - 1, MOST_STRANDS).round().astype(np.int64)]
-    guides = style_guides(groom.select(kept))
+    sparse = style_guides(groom.select(kept))
+    turn = _arc_of_a_turn(sparse.canonical(), sparse.groom.offsets)
+    # Centrelines, and so torsion, depend on how many points a turn has: as many as new strands are written with.
+    guides = style_guides(_with_points_per_turn(sparse.groom, turn))
     offsets = guides.groom.offsets
     canonical = guides.canonical()
     arcs = arc_lengths(canonical, offsets)
     radius, wavelength = winding(canonical, offsets)
 
     median_arc = float(np.median(arcs))
-    coarse = signals(canonical, offsets, np.arange(len(offsets), dtype=np.int64) * MOST_CELLS)
-    turn = min(_arc_of_a_turn(coarse), median_arc)
+    turn = _arc_of_a_turn(canonical, offsets)
     cell_width = float(np.clip(turn / CELLS_PER_TURN, median_arc / MOST_CELLS, median_arc / FEWEST_CELLS))
     cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), SHORTEST_CELLS)
     starts = np.concatenate([[0], np.cumsum(cells)])
@@ -114,10 +118,21 @@ def fit_patches(groom: Groom) -> FittedTexture:
     )
 
 
-def _arc_of_a_turn(values: NDArray[np.float64]) -> float:
-    """Arc length [cm] in which the frame of a helix with the median curvature and torsion turns once."""
+def _arc_of_a_turn(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> float:
+    """Arc length [cm] in which the frame of a helix with the median curvature and torsion turns once.
+
+    At most the median strand's.
+    """
+    values = signals(points, offsets, np.arange(len(offsets), dtype=np.int64) * MOST_CELLS)
     rate = float(np.median(np.hypot(values[:, 0], values[:, 1])))
-    return 2.0 * np.pi / max(rate, 1e-9)
+    return min(2.0 * np.pi / max(rate, 1e-9), float(np.median(arc_lengths(points, offsets))))
+
+
+def _with_points_per_turn(groom: Groom, turn: float) -> Groom:
+    """The strands with at least POINTS_PER_TURN points in each arc length ``turn`` [cm], without attributes."""
+    needed = np.ceil(POINTS_PER_TURN * arc_lengths(groom.points, groom.offsets) / turn).astype(np.int64) + 1
+    offsets = np.concatenate([[0], np.cumsum(np.maximum(needed, groom.point_counts))])
+    return replace(groom, points=resample(groom.points, groom.offsets, offsets), offsets=offsets, attributes={})
 
 
 def save_texture(texture: FittedTexture, path: str | Path) -> None:

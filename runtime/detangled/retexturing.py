@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.errors import ReadError
-from detangled.fitted import FittedTexture
+from detangled.fitted import POINTS_PER_TURN, FittedTexture
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom
 from detangled.grooming.guides import resampled_attributes, style_guides
@@ -22,7 +22,6 @@ from detangled.grooming.lengths import Length, Seats, strands_on_guides
 from detangled.grooming.placing import resample
 from detangled.synthesis import grid_cells, synthesise
 
-POINTS_PER_TURN = 12
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
 FEWEST_TURNS = 8.0

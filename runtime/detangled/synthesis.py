@@ -20,11 +20,11 @@ from detangled.fitted import FittedTexture
 BATCH = 128  # strands denoised at once: some megabytes
 CELL_MULTIPLE = 16  # strands of nearly one length share a grid, and so a batch
 OFFERED = 12  # examples offered to each stretch of a strand
-FEWEST_STRETCHES = 2
+FEWEST_STRETCHES = 1
 WIDEST_SHARE = 0.8  # of a stretch: the half-width of its widest patches
 # The axis of a signal that is mostly noise means nothing.
 STEER_BELOW = 1.0  # sigma / alpha
-FEWEST_TURNS_TO_STEER = 4.0
+FEWEST_TURNS_TO_STEER = 12.0
 
 
 def grid_cells(texture: FittedTexture, arcs: NDArray[np.float64]) -> NDArray[np.int64]:

@@ -283,13 +283,16 @@ def denoise_strands(
     """
     out = np.empty_like(noisy)
     precision = 0.5 * (alpha / sigma) ** 2
-    for b in prange(noisy.shape[0]):
-        x = noisy[b] / alpha
-        for p in range(bounds.shape[0] - 1):
-            denoise_stretch(
-                x, bounds[p], bounds[p + 1], examples, starts, chosen[b, p], diagonals[b, p], half_width, window,
-                precision, out[b],
-            )  # fmt: skip
+    scaled = noisy / alpha
+    stretches = bounds.shape[0] - 1
+    # Stretches of a strand do not depend on each other: few strands, too, fill all threads.
+    for part in prange(noisy.shape[0] * stretches):
+        b = part // stretches
+        p = part % stretches
+        denoise_stretch(
+            scaled[b], bounds[p], bounds[p + 1], examples, starts, chosen[b, p], diagonals[b, p], half_width, window,
+            precision, out[b],
+        )  # fmt: skip
     return out
 
 

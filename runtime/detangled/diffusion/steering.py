@@ -16,8 +16,8 @@ from detangled.kernels import kernel, parallel_kernel, prange
 
 # Found on strands four times as long as their examples (benchmarks/retexture.py prints wander and distances).
 AXIS_TURNS = 0.5  # deviation of the Gaussian that makes the axis of the tangents, in turns
-RETURN_TURNS = 0.4  # length over which a tilt of the axis falls to 1/e, in turns
-FREE_TILT = 0.15  # sine of the tilt that is left alone: real strands wander so much
+RETURN_TURNS = 0.8  # length over which a tilt of the axis falls to 1/e, in turns
+FREE_TILT = 0.2  # sine of the tilt that is left alone: real strands wander so much
 MOST_TURNED = 0.7  # share of the tilt that one cell may take away
 
 

@@ -112,7 +112,7 @@ def _built(
     offsets = np.concatenate([[0], np.cumsum(curve_counts(values, starts))])
     points = curves(values, starts, offsets)
     axes, _ = centerlines(points, offsets, STYLELESS_TURNS)
-    canonical = to_canonical(points, axes, offsets)
+    canonical = to_canonical(points, _straightened(axes, offsets, seats.short), offsets)
     canonical, offsets = _without_roots(canonical, offsets, np.where(seats.short, seats.dropped, 0.0))
     if length is Length.GUIDE:
         down = canonical[offsets[:-1], 2].repeat(np.diff(offsets)) - canonical[:, 2]
@@ -125,6 +125,22 @@ def _built(
         lengths = along[offsets[1:] - 1]
         world, offsets = cut(world, offsets, along, seats.goals)
     return world, offsets, lengths
+
+
+def _straightened(
+    axes: NDArray[np.float64], offsets: NDArray[np.int64], chosen: NDArray[np.bool_]
+) -> NDArray[np.float64]:
+    """Axes (P, 3), those of the chosen strands (S,) straight from their first point to their last.
+
+    A few turns do not say how their axis bends: to unbend what was found of it would add torsion.
+    """
+    if not chosen.any():
+        return axes
+    counts = np.diff(offsets)
+    inner = np.arange(len(axes)) - np.repeat(offsets[:-1], counts)
+    share = (inner / np.repeat(np.maximum(counts - 1, 1), counts))[:, None]
+    first, last = (np.repeat(axes[rows], counts, axis=0) for rows in (offsets[:-1], offsets[1:] - 1))
+    return np.where(np.repeat(chosen, counts)[:, None], first + share * (last - first), axes)
 
 
 def _without_roots(

@@ -15,11 +15,13 @@ from detangled.geometry.spline import chord_lengths, distinct_points, spline_sam
 from detangled.kernels import kernel, parallel_kernel, prange
 
 GUIDE_SAMPLES_PER_SEGMENT = 8
-FEWEST_GUIDE_SAMPLES, MOST_GUIDE_SAMPLES = 256, 4096
-# A new strand starts at the old root and goes over to its own distance from the guide in so many radii (the new
-# strand's, or the old root's distance where that is more) along the axis, but within this share of it.
+FEWEST_GUIDE_SAMPLES, MOST_GUIDE_SAMPLES = 1024, 4096
+# A new strand starts at the old root, and goes over to its own distance from the guide in so many of its radii along
+# the axis: sooner would be a kink. From an old root further out it takes so many of that root's distances, but within
+# this share of the strand.
 BLEND_RADII = 6.0
-BLEND_SHARE = 0.35
+ROOT_RADII = 12.0
+BLEND_SHARE = 0.5
 
 
 @kernel
@@ -56,11 +58,11 @@ def bend_onto(canonical: NDArray[np.float64], guide: NDArray[np.float64]) -> NDA
         while k > 0 and s < along[k]:
             k -= 1
         part = (s - along[k]) / (along[k + 1] - along[k])
-        # A frame belongs to the middle of its segment.
-        below = k - 1 if part < 0.5 else k
-        inside = min(max(part + 0.5 if part < 0.5 else part - 0.5, 0.0), 1.0)
-        ahead = min(below + 1, m - 1)
-        below = max(below, 0)
+        # A frame belongs to the middle of its segment; half a segment at either end is extrapolated.
+        middle = min(max(k + part, 0.0), float(m)) - 0.5
+        below = min(max(int(np.floor(middle)), 0), m - 2)
+        ahead = below + 1
+        inside = middle - below
         size = 0.0
         for c in range(3):
             x[c] = frames[below, 0, c] * (1.0 - inside) + frames[ahead, 0, c] * inside
@@ -83,6 +85,13 @@ def bend_onto(canonical: NDArray[np.float64], guide: NDArray[np.float64]) -> NDA
 
 
 @kernel
+def _blend(along: float, reach: float) -> float:
+    """Share of the shift at the root that is left ``along`` the axis: 1 at the root and above it, 0 from ``reach``."""
+    u = min(max(along / reach, 0.0), 1.0) if reach > 0.0 else 1.0
+    return 1.0 - u * u * (3.0 - 2.0 * u)
+
+
+@kernel
 def _seat(canonical: NDArray[np.float64], root: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
     """Turn a canonical strand (n, 3) about its axis and let it start at ``root`` (3,), in canonical space."""
     n = canonical.shape[0]
@@ -95,15 +104,14 @@ def _seat(canonical: NDArray[np.float64], root: NDArray[np.float64], angle: floa
         out[i, 1] = sine * canonical[i, 0] + cosine * canonical[i, 1]
         out[i, 2] = canonical[i, 2] - canonical[0, 2]
         size += np.sqrt(canonical[i, 0] ** 2 + canonical[i, 1] ** 2)
-    wide = max(size / n, np.sqrt(root[0] ** 2 + root[1] ** 2))
-    reach = min(BLEND_RADII * wide, -BLEND_SHARE * out[n - 1, 2])
+    length = -out[n - 1, 2]
+    across = max(BLEND_RADII * size / n, min(ROOT_RADII * np.hypot(root[0], root[1]), BLEND_SHARE * length))
+    down = min(across, BLEND_SHARE * length)
     shift = root - out[0]
     for i in range(n):
-        u = -out[i, 2] / reach if reach > 0.0 else 1.0
-        # Points above the root, where a coil leans back, move with it.
-        u = min(max(u, 0.0), 1.0)
-        weight = 1.0 - u * u * (3.0 - 2.0 * u)
-        for c in range(3):
+        weight = _blend(-out[i, 2], across)
+        out[i, 2] += _blend(-out[i, 2], down) * shift[2]
+        for c in range(2):
             out[i, c] += weight * shift[c]
     out[0] = root
     return out
