@@ -9,7 +9,8 @@ grooms are looked for in DETANGLED_GROOMS, else in shared/grooms beside the repo
 
 Targets are measured with as many points a turn as the result has: centrelines, and so torsion in canonical space,
 depend on it. Strands are measured about their own axis, extracted anew from the file; those of fewer than 6 turns
-(wavelengths on their guide), which are too short for that, about the input's guide.
+(wavelengths on their guide), which are too short for that, about the input's guide. Distributions of kappa and tau
+are compared as ``distributions`` says.
 
 Straight strands (targets whose radius is below 0.02 cm) have no wavelength and no torsion, and are all alike. With
 them a strand is its own style guide: its distance from the input's guide is bounded by 0.02 cm instead of a radius,
