@@ -1,6 +1,7 @@
 """How good retextured grooms are: a few strands' texture on four real grooms, measured on the files written.
 
-python benchmarks/retexture.py [--jobs eve,bob,combover,straight] [--every N | --full] [--seed N]
+python benchmarks/retexture.py [--method patches|finetune] [--jobs eve,bob,combover,straight] [--every N | --full]
+                               [--seed N] [--halvings N]
 
 eve, bob and combover take the texture of coily_swatch.obj; straight is coily_swatch.obj with the texture of two long
 strands of eve. Each job reads, fits, retextures, writes, and reads the file back. Printed is one row a measure and
@@ -33,7 +34,7 @@ import numpy as np
 import detangled
 import measures
 from detangled import Groom, Length, Options
-from detangled.fitted import FittedTexture
+from detangled.fitted import FINETUNE, METHODS, FittedTexture
 from detangled.geometry.signal import curve_counts, curves
 from detangled.geometry.winding import winding
 from detangled.grooming.guides import style_guides
@@ -44,7 +45,6 @@ GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parent
 
 EVERY = {"eve": 10, "bob": 2, "combover": 50, "straight": 1}  # strands measured by default: every so many
 SAMPLE = 48  # strands of the measures that compare all with all
-HALVINGS = 5
 LONGER, SHORTER = "longer than targets", "shorter than targets"
 FEWEST_COMPARED = 10
 HELD_OUT = 200  # new strands compared with targets that their texture was not fitted to
@@ -76,7 +76,10 @@ class Column:
 
 @dataclass(frozen=True)
 class Job:
-    """Input strands and targets as they were read, a folder for files, and the strands' seed."""
+    """Input strands and targets as they were read, a folder for files, the strands' seed, and how to fit.
+
+    halvings: of the targets, to compare what is fitted to one half with the other.
+    """
 
     name: str
     groom: Groom
@@ -84,6 +87,11 @@ class Job:
     folder: Path
     suffix: str
     seed: int
+    method: str
+    halvings: int
+
+    def fit(self, targets: Groom) -> FittedTexture:
+        return detangled.fit(targets, self.method)
 
     def retextured(self, groom: Groom, texture: FittedTexture, length: Length, column: Column | None = None) -> Groom:
         """Retexture, write, and read the file again."""
@@ -111,7 +119,7 @@ def _peak_megabytes() -> float:
     return peak / 2**20 if sys.platform == "darwin" else peak / 2**10
 
 
-def prepare(name: str, every: int, seed: int, folder: Path, column: Column) -> Job:
+def prepare(name: str, every: int, folder: Path, options: argparse.Namespace, column: Column) -> Job:
     """Read a job's files; every so many strands of its input."""
     swatch = GROOMS / "coily_swatch.obj"
     source = swatch if name == "straight" else GROOMS / f"{name}.abc"
@@ -126,14 +134,14 @@ def prepare(name: str, every: int, seed: int, folder: Path, column: Column) -> J
     targets = detangled.read(target, unit="m" if name == "straight" else None)
     column.put("seconds: read", f"{time.perf_counter() - began:.2f}")
     groom = groom.select(np.arange(0, groom.strand_count, every))
-    return Job(name, groom, targets, folder, source.suffix, seed)
+    return Job(name, groom, targets, folder, source.suffix, options.seed, options.method, options.halvings)
 
 
 def measure(job: Job, column: Column) -> None:
     """Run a job and fill its column."""
     rng = np.random.default_rng(job.seed)
     began = time.perf_counter()
-    texture = detangled.fit(job.targets)
+    texture = job.fit(job.targets)
     column.put("seconds: fit", f"{time.perf_counter() - began:.2f}")
     usable = style_guides(job.groom)
     groom, guides = usable.groom, usable.as_groom()
@@ -274,11 +282,11 @@ def distributions(
     width = float(real[0][:, 2].mean() / len(real[0]))
     longer = style_guides(groom).lengths >= measures.axial_lengths(aims).min()
     found: dict[str, list[tuple[tuple[float, float], tuple[float, float]]]] = {}
-    for _ in range(HALVINGS):
+    for _ in range(job.halvings):
         order = rng.permutation(len(real))
         seen, held_out = np.sort(order[: len(real) // 2]), order[len(real) // 2 :]
         chosen = np.sort(rng.permutation(groom.strand_count)[:HELD_OUT])
-        texture = detangled.fit(job.targets.select(seen))
+        texture = job.fit(job.targets.select(seen))
         new = job.retextured(groom.select(chosen), texture, Length.GUIDE)
         on = guides.select(chosen)
         for which, some in ((LONGER, longer[chosen]), (SHORTER, ~longer[chosen])):
@@ -367,7 +375,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--every", type=int, help="use every N-th strand; default: " + str(EVERY))
     parser.add_argument("--full", action="store_true", help="use every strand")
     parser.add_argument("--seed", type=int, default=0)
+    parser.add_argument("--method", choices=METHODS, default=METHODS[0])
+    parser.add_argument("--halvings", type=int, help="of the targets; default: 5, or 1 where a network is trained")
     options = parser.parse_args(arguments)
+    options.halvings = options.halvings or (1 if options.method == FINETUNE else 5)
     jobs = options.jobs.split(",")
     if unknown := set(jobs) - set(EVERY):
         parser.error(f"no such job: {', '.join(sorted(unknown))}; these are: {', '.join(EVERY)}")
@@ -379,7 +390,7 @@ def main(arguments: list[str] | None = None) -> int:
         column = Column(f"{name} (every {every})" if every > 1 else name)
         began = time.perf_counter()
         with tempfile.TemporaryDirectory() as folder:
-            measure(prepare(name, every, options.seed, Path(folder), column), column)
+            measure(prepare(name, every, Path(folder), options, column), column)
         column.put("seconds: all, with measuring", f"{time.perf_counter() - began:.0f}")
         columns.append(column)
         print(f"{name}: done", file=sys.stderr)

@@ -12,7 +12,8 @@ from numpy.typing import NDArray
 from detangled.diffusion.patches import PatchSchedule, denoise_strands, plan_stretches
 from detangled.diffusion.steering import steer_strands
 from detangled.diffusion.whitening import Whitening
-from detangled.fitted import FittedTexture, fit_patches
+from detangled.fitted import FittedTexture
+from detangled.fitting import fit
 from detangled.formats import read
 from detangled.geometry.signal import curve_counts, curves, signals
 from detangled.synthesis import grid_cells, synthesise
@@ -277,7 +278,7 @@ def test_steering_leaves_a_straight_axis_nearly_alone(wandering: dict[str, NDArr
 
 @pytest.fixture(scope="module")
 def texture() -> FittedTexture:
-    return fit_patches(read(EXAMPLES / "coily_strands.obj", unit="cm"))
+    return fit(read(EXAMPLES / "coily_strands.obj", unit="cm"))
 
 
 def test_a_strand_does_not_depend_on_the_others(texture: FittedTexture) -> None:

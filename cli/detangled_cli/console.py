@@ -6,7 +6,7 @@ import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
 from pathlib import Path
-from typing import Any, TypeVar
+from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
@@ -15,6 +15,9 @@ BAR_DELAY_S = 1.0
 
 _QUIET = "detangled.quiet"
 _ANNOUNCED = "detangled.first_run_announced"
+
+if TYPE_CHECKING:
+    from tqdm import tqdm
 
 Command = TypeVar("Command", bound=Callable[..., Any])
 
@@ -35,10 +38,10 @@ def warn(text: str) -> None:
 
 
 @contextmanager
-def progress_bar(label: str, total: int | None = None) -> Iterator[Callable[[int], Any]]:
+def progress_bar(label: str, total: int | None = None) -> Iterator[tqdm[Any]]:
     """A bar on stderr that appears after a second, if stderr is a terminal and without --quiet.
 
-    Yields a function to call with the number of items done since the last call.
+    Its ``update`` takes the number of items done since the last call.
     """
     from tqdm import tqdm
 
@@ -52,7 +55,7 @@ def progress_bar(label: str, total: int | None = None) -> Iterator[Callable[[int
         dynamic_ncols=True,
         disable=hidden,
     ) as bar:
-        yield bar.update
+        yield bar
 
 
 def announce_first_run(last_kernel: str) -> None:

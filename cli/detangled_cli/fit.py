@@ -7,27 +7,30 @@ from pathlib import Path
 import click
 
 from detangled_cli.console import announce_first_run, quiet_option, threads_option, unit_option
+from detangled_cli.targets import method_option
 
 
 @click.command()
 @click.argument("source", metavar="STRANDS", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUT.texture", type=click.Path(path_type=Path))
+@method_option
 @click.option(
-    "--method",
-    type=click.Choice(["patches"]),
-    default="patches",
+    "--seed",
+    type=click.IntRange(min=0),
+    default=0,
     show_default=True,
-    help="How to learn: patches needs no training.",
+    help="Of finetune: the same seed, the same weights.",
 )
 @unit_option
 @threads_option
 @quiet_option
-def command(source: Path, target: Path, method: str, unit: str | None, threads: int | None) -> None:
+def command(source: Path, target: Path, method: str | None, seed: int, unit: str | None, threads: int | None) -> None:
     """Learn a texture from a few strands, one to some hundreds, and write it as a .texture file.
 
     \b
     Example:
       detangled fit strands.obj coily.texture
+      detangled fit strands.obj coily.texture --method finetune
       detangled retexture groom.abc new.abc --target coily.texture
     """
     from detangled.errors import WriteError
@@ -41,4 +44,4 @@ def command(source: Path, target: Path, method: str, unit: str | None, threads: 
     check_folder(target)
     announce_first_run("winding.winding")
     set_threads(threads)
-    save_texture(fitted_texture(source, unit), target)
+    save_texture(fitted_texture(source, unit, method, seed), target)

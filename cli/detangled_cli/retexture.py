@@ -19,6 +19,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.targets import method_option
 
 
 @click.command()
@@ -32,13 +33,7 @@ from detangled_cli.console import (
     type=click.Path(path_type=Path),
     help="Strands of the new texture (.abc, .obj, .npz), or a .texture made by detangled fit.",
 )
-@click.option(
-    "--method",
-    type=click.Choice(["patches"]),
-    default="patches",
-    show_default=True,
-    help="How to learn the texture: patches needs no training.",
-)
+@method_option
 @click.option(
     "--length",
     type=click.Choice(["guide", "strand"]),
@@ -67,7 +62,7 @@ def command(
     source: Path,
     target: Path,
     texture_source: Path,
-    method: str,
+    method: str | None,
     length: str,
     seed: int,
     steps: int,
@@ -99,9 +94,9 @@ def command(
         warn(f"{source}: {sentence}")
     announce_first_run("placing.resample")
     set_threads(threads)
-    texture = fitted_texture(texture_source, target_unit)
-    with progress_bar("strands", groom.strand_count) as advance:
-        result = retexture(groom, texture, Options(Length(length), seed, steps, max_points), advance)
+    texture = fitted_texture(texture_source, target_unit, method, seed)
+    with progress_bar("strands", groom.strand_count) as bar:
+        result = retexture(groom, texture, Options(Length(length), seed, steps, max_points), bar.update)
     for sentence in [*result.lost, *result.warnings, *write(result.groom, target)]:
         warn(f"{target}: {sentence}")
     if len(result.passed_through):

@@ -5,18 +5,40 @@ from __future__ import annotations
 from pathlib import Path
 from typing import TYPE_CHECKING
 
-from detangled_cli.console import note, warn
+import click
+
+from detangled.errors import ModelError
+from detangled_cli.console import Command, note, progress_bar, warn
 
 if TYPE_CHECKING:
     from detangled.fitted import FittedTexture
+    from detangled.groom import Groom
 
 
-def fitted_texture(target: Path, unit: str | None) -> FittedTexture:
+METHODS = ("patches", "finetune")
+DEFAULT_METHOD = "patches"
+
+
+def method_option(command: Command) -> Command:
+    """--method, as ``method``: a name or None."""
+    return click.option(
+        "--method",
+        type=click.Choice(METHODS),
+        help="How to learn from strands: patches at once, finetune trains a network on them for minutes. "
+        f"[default: {DEFAULT_METHOD}]",
+    )(command)
+
+
+def fitted_texture(target: Path, unit: str | None, method: str | None, seed: int = 0) -> FittedTexture:
     """Load a .texture, or fit one to the strands of a groom file; say what it is like."""
-    from detangled.fitted import SUFFIX, fit_patches, load_texture
+    from detangled.fitted import SUFFIX, load_texture
 
     if target.suffix == SUFFIX:
         texture = load_texture(target)
+        if method not in (None, texture.method):
+            raise ModelError(
+                f"{target}: fitted by {texture.method}, not {method}: leave --method out, or fit its strands again"
+            )
     else:
         from detangled.formats import read
         from detangled.grooming.guides import usable_strands
@@ -27,9 +49,24 @@ def fitted_texture(target: Path, unit: str | None) -> FittedTexture:
         unusable = strands.strand_count - int(usable_strands(strands).sum())
         if unusable:
             warn(f"{target}: {unusable} of {strands.strand_count} strands cannot be used and are left out")
-        texture = fit_patches(strands)
+        texture = _fit(strands, method or DEFAULT_METHOD, seed)
     note(f"{target}: {describe(texture)}")
     return texture
+
+
+def _fit(strands: Groom, method: str, seed: int) -> FittedTexture:
+    """Fit, with a bar that shows the loss where a network is trained."""
+    from detangled.diffusion.finetune import FineTuning
+    from detangled.fitting import fit
+
+    with progress_bar("training steps") as bar:
+
+        def show(step: int, most: int, loss: float) -> None:
+            bar.total = most
+            bar.set_postfix_str(f"loss {loss:.3f}", refresh=False)
+            bar.update(1)
+
+        return fit(strands, method, FineTuning(seed=seed), show)
 
 
 def describe(texture: FittedTexture) -> str:

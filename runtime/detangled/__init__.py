@@ -10,8 +10,8 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from detangled.fitted import fit_patches as fit
     from detangled.fitted import load_texture, save_texture
+    from detangled.fitting import fit
     from detangled.formats import read, write
     from detangled.groom import Attribute, Groom, Scope
     from detangled.grooming.guides import guides_groom as guides
@@ -26,7 +26,7 @@ _WHERE = {
     "Scope": ("detangled.groom", "Scope"),
     "read": ("detangled.formats", "read"),
     "write": ("detangled.formats", "write"),
-    "fit": ("detangled.fitted", "fit_patches"),
+    "fit": ("detangled.fitting", "fit"),
     "save_texture": ("detangled.fitted", "save_texture"),
     "load_texture": ("detangled.fitted", "load_texture"),
     "guides": ("detangled.grooming.guides", "guides_groom"),

@@ -67,3 +67,8 @@ def set_threads(count: int | None) -> None:
     """Use ``count`` threads from now on; None leaves numba's own choice, all cores."""
     if count is not None:
         numba.set_num_threads(max(1, min(count, _threads_at_most)))
+
+
+def thread_count() -> int:
+    """How many threads are in use."""
+    return int(numba.get_num_threads())

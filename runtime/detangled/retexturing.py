@@ -14,7 +14,8 @@ from numpy.typing import NDArray
 
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.errors import ReadError
-from detangled.fitted import POINTS_PER_TURN, FittedTexture
+from detangled.fitted import FittedTexture
+from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom
 from detangled.grooming.guides import resampled_attributes, style_guides

@@ -11,11 +11,15 @@ from collections.abc import Callable
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.diffusion.denoiser import NetworkDenoiser
 from detangled.diffusion.patches import denoise_strands, plan_stretches
 from detangled.diffusion.sampler import DEFAULT_STEPS, Denoiser, Guide, SamplerStep, sample
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.steering import steer_strands
-from detangled.fitted import FittedTexture
+from detangled.errors import ModelError
+from detangled.fitted import FINETUNE, FittedTexture
+from detangled.kernels import thread_count
+from detangled.models import DENOISER, load_model
 
 BATCH = 128  # strands denoised at once: some megabytes
 CELL_MULTIPLE = 16  # strands of nearly one length share a grid, and so a batch
@@ -47,6 +51,7 @@ def synthesise(
     apart: a strand depends on the seed, its own name and its number of cells, and not on the others.
     progress: told how many strands were finished.
     """
+    network = _network(texture)
     cells = grid_cells(texture, arcs)
     starts = np.concatenate([[0], np.cumsum(cells)])
     out = np.empty((starts[-1], 3))
@@ -55,14 +60,25 @@ def synthesise(
         for first in range(0, len(members), BATCH):
             batch = members[first : first + BATCH]
             rows = starts[batch][:, None] + np.arange(size)
-            out[rows] = _sample_batch(texture, int(size), arcs[batch], names[batch], seed, steps)
+            out[rows] = _sample_batch(texture, network, int(size), arcs[batch], names[batch], seed, steps)
             if progress is not None:
                 progress(len(batch))
     return out, starts
 
 
+def _network(texture: FittedTexture) -> Denoiser | None:
+    """The network trained on the texture's strands; None where it is drawn by patches."""
+    if texture.method != FINETUNE:
+        return None
+    model = load_model(DENOISER)
+    if model.architecture != texture.architecture or model.parameters != len(texture.weights):
+        raise ModelError("the texture was fitted with another network than the one that is installed: fit it again")
+    return NetworkDenoiser(model, texture.weights, thread_count())
+
+
 def _sample_batch(
     texture: FittedTexture,
+    network: Denoiser | None,
     cells: int,
     arcs: NDArray[np.float64],
     names: NDArray[np.int64],
@@ -72,7 +88,7 @@ def _sample_batch(
     """Signals (B, cells, 3) of strands on one grid."""
     generators = [np.random.default_rng([seed, int(name)]) for name in names]
     noise = np.stack([rng.standard_normal((3, cells)) for rng in generators])
-    denoise = _patch_denoiser(texture, cells, generators)
+    denoise = network or _patch_denoiser(texture, cells, generators)
     channels = sample(denoise, noise, CosineSchedule(), steps, _guide(texture, cells, arcs))
     values = texture.whitening.restore(channels)
     values[:, :, 2] *= (arcs / values[:, :, 2].mean(axis=1))[:, None]

@@ -44,6 +44,12 @@ class Whitening:
         channels = (_compressed(signals, np.array(self.scale)) - self.mean) / self.deviation
         return np.ascontiguousarray(np.swapaxes(channels, -1, -2))
 
+    def mirrored(self, channels: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Channels (..., 3, L) of the mirrored strands, whose torsion has the other sign."""
+        out = channels.copy()
+        out[..., 1, :] = -channels[..., 1, :] - 2.0 * self.mean[1] / self.deviation[1]
+        return out
+
     def restore(self, channels: NDArray[np.float64]) -> NDArray[np.float64]:
         """Signals (..., L, 3) of channels (..., 3, L); curvature is never negative."""
         signals = np.swapaxes(channels, -1, -2) * self.deviation + self.mean

@@ -1,0 +1,128 @@
+"""Fitting a texture to a few strands.
+
+They are mapped to canonical space and their signals measured, on a grid whose cells have one physical width; that is
+all that the patch denoiser needs. The other engine trains the network on these signals.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass, replace
+from itertools import pairwise
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.diffusion.finetune import FineTuning, StepProgress, fine_tune
+from detangled.diffusion.whitening import Whitening
+from detangled.errors import ModelError, TextureError
+from detangled.fitted import FINETUNE, METHODS, PATCHES, FittedTexture
+from detangled.geometry.arc import arc_lengths
+from detangled.geometry.signal import signals
+from detangled.geometry.winding import winding
+from detangled.groom import Groom
+from detangled.grooming.guides import style_guides, usable_strands
+from detangled.grooming.placing import resample
+from detangled.kernels import thread_count
+from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
+
+POINTS_PER_TURN = 16  # of a new strand: with 12 the spread of its curvature is a percent narrower
+COARSE_CELLS = 512  # of a strand whose turns are only to be counted
+SHORTEST_CELLS = 8  # of any strand
+MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
+
+
+@dataclass(frozen=True)
+class Grid:
+    """How finely signals are measured. most_cells, fewest_cells: of a strand of median length."""
+
+    cells_per_turn: float
+    most_cells: int
+    fewest_cells: int
+
+
+PATCH_GRID = Grid(22.0, 512, 64)  # narrow cells cost little there, and keep curvature's spread
+NETWORK_GRID = Grid(16.0, 512, 256)  # a window of the network then holds 16 turns
+
+
+def fit(
+    groom: Groom,
+    method: str = PATCHES,
+    fine_tuning: FineTuning | None = None,
+    progress: StepProgress | None = None,
+) -> FittedTexture:
+    """Fit a texture to the strands of a groom, from one to some hundreds, of any point counts.
+
+    method: PATCHES, which is done at once, or FINETUNE, which trains a network for minutes; ``fine_tuning`` says how,
+    and ``progress`` is told of each step. Raises TextureError where no strand can be used, and ModelError where the
+    network is missing or damaged.
+    """
+    if method == PATCHES:
+        return measured(groom, PATCH_GRID)
+    if method != FINETUNE:
+        raise TextureError(f"there is no method {method!r}: it is one of {', '.join(METHODS)}")
+    denoiser, step = load_model(DENOISER), load_model(TRAINING_STEP)
+    if not same_network(denoiser, step):
+        raise ModelError(f"{denoiser.path} and {step.path} are of different networks: export both anew")
+    # At least as many cells as the network looks at. The whitening is the strands' own: in that of all hair, what tells
+    # one strand of a texture from another would be too small for the network to learn.
+    texture = measured(groom, replace(NETWORK_GRID, fewest_cells=denoiser.cells))
+    strands = [texture.whitening.whiten(texture.signals[a:b]) for a, b in pairwise(texture.starts)]
+    tuned = fine_tune(strands, texture.whitening, step, denoiser.weights, fine_tuning, thread_count(), progress)
+    return replace(texture, method=FINETUNE, weights=tuned.weights, architecture=denoiser.architecture)
+
+
+def measured(groom: Groom, grid: Grid) -> FittedTexture:
+    """What the strands of a groom are like, on such a grid: all there is to a texture by patches."""
+    kept = np.flatnonzero(usable_strands(groom))
+    if len(kept) == 0:
+        raise TextureError(
+            f"none of the {groom.strand_count} target strands can be used: each has fewer than two distinct points, "
+            "a coordinate that is not finite, or is longer than 20 m (is the unit right?)"
+        )
+    if len(kept) > MOST_STRANDS:
+        kept = kept[np.linspace(0, len(kept) - 1, MOST_STRANDS).round().astype(np.int64)]
+    sparse = style_guides(groom.select(kept))
+    turn = _arc_of_a_turn(sparse.canonical(), sparse.groom.offsets)
+    # Centrelines, and so torsion, depend on how many points a turn has: as many as new strands are written with.
+    guides = style_guides(_with_points_per_turn(sparse.groom, turn))
+    offsets = guides.groom.offsets
+    canonical = guides.canonical()
+    arcs = arc_lengths(canonical, offsets)
+    radius, wavelength = winding(canonical, offsets)
+
+    median_arc = float(np.median(arcs))
+    turn = _arc_of_a_turn(canonical, offsets)
+    cell_width = float(
+        np.clip(turn / grid.cells_per_turn, median_arc / grid.most_cells, median_arc / grid.fewest_cells)
+    )
+    cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), SHORTEST_CELLS)
+    starts = np.concatenate([[0], np.cumsum(cells)])
+    values = signals(canonical, offsets, starts)
+    return FittedTexture(
+        signals=values,
+        starts=starts,
+        whitening=Whitening.of([values[a:b] for a, b in pairwise(starts)]),
+        cell_width=cell_width,
+        turn=turn,
+        median_arc=median_arc,
+        arc_per_axis=float(np.median(arcs / np.maximum(guides.lengths, 1e-12))),
+        radius=float(np.median(radius)),
+        wavelength=float(np.nanmedian(wavelength)) if np.isfinite(wavelength).any() else float("nan"),
+    )
+
+
+def _arc_of_a_turn(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> float:
+    """Arc length [cm] in which the frame of a helix with the median curvature and torsion turns once.
+
+    At most the median strand's.
+    """
+    values = signals(points, offsets, np.arange(len(offsets), dtype=np.int64) * COARSE_CELLS)
+    rate = float(np.median(np.hypot(values[:, 0], values[:, 1])))
+    return min(2.0 * np.pi / max(rate, 1e-9), float(np.median(arc_lengths(points, offsets))))
+
+
+def _with_points_per_turn(groom: Groom, turn: float) -> Groom:
+    """The strands with at least POINTS_PER_TURN points in each arc length ``turn`` [cm], without attributes."""
+    needed = np.ceil(POINTS_PER_TURN * arc_lengths(groom.points, groom.offsets) / turn).astype(np.int64) + 1
+    offsets = np.concatenate([[0], np.cumsum(np.maximum(needed, groom.point_counts))])
+    return replace(groom, points=resample(groom.points, groom.offsets, offsets), offsets=offsets, attributes={})

@@ -1,0 +1,157 @@
+"""Exported models: ONNX files, each with a JSON manifest that says what it is and what it takes to use it.
+
+A model is used only where its manifest is whole, of this version, and its bytes are those the manifest was written
+for. Models come with detangled; the environment variable DETANGLED_MODELS names another folder.
+"""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import os
+from dataclasses import dataclass
+from importlib import resources
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.diffusion.schedule import CosineSchedule
+from detangled.diffusion.whitening import Whitening
+from detangled.errors import ModelError
+
+if TYPE_CHECKING:
+    import onnxruntime
+
+FORMAT = "detangled model"
+VERSION = 1
+FOLDER_VARIABLE = "DETANGLED_MODELS"
+
+DENOISER = "denoiser"
+TRAINING_STEP = "training step"
+_FILES = {DENOISER: "denoiser.onnx", TRAINING_STEP: "training_step.onnx"}
+_REMEDY = "install detangled again, or export the model anew (detangled train export)"
+_FIELDS = (
+    *("format", "version", "kind", "architecture", "parameters", "whitening"),
+    *("schedule", "cells", "opset", "sha256", "training"),
+)
+_OWN_FIELDS: dict[str, tuple[str, ...]] = {DENOISER: ("weights",), TRAINING_STEP: ("batch",)}
+
+
+@dataclass(frozen=True)
+class Model:
+    """A verified model: its bytes, and what its manifest says.
+
+    parameters: how many weights. cells: of the signals that it was trained on. batch: samples of a training step, 0
+    where the model is none. weights_at: where in the bytes the float16 weights start, -1 where there are none.
+    training: how the model came about, as its exporter tells it.
+    """
+
+    path: Path
+    kind: str
+    data: bytes
+    architecture: dict[str, Any]
+    parameters: int
+    whitening: Whitening
+    schedule: CosineSchedule
+    cells: int
+    batch: int
+    weights_at: int
+    training: dict[str, Any]
+
+    @property
+    def weights(self) -> NDArray[np.float16]:
+        """The weights in the file, (parameters,)."""
+        return np.frombuffer(self.data, "<f2", self.parameters, self.weights_at)
+
+    def session(self, threads: int = 1, weights: NDArray[np.float16] | None = None) -> onnxruntime.InferenceSession:
+        """A session on so many threads, with other weights (parameters,) where they are given.
+
+        They are put in place of the file's own, since onnxruntime folds those of a file into its plan before it
+        looks at any that it is handed.
+        """
+        import onnxruntime
+
+        data = self.data
+        if weights is not None:
+            if weights.dtype != np.float16 or weights.shape != (self.parameters,):
+                raise ModelError(f"{self.path}: {weights.shape} {weights.dtype} weights, not {self.parameters} float16")
+            end = self.weights_at + 2 * self.parameters
+            data = data[: self.weights_at] + weights.astype("<f2").tobytes() + data[end:]
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        try:
+            return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        except Exception as error:
+            # onnxruntime's errors have no class of their own in common.
+            raise ModelError(f"{self.path}: onnxruntime {onnxruntime.__version__} cannot run it: {error}") from error
+
+
+def models_folder() -> Path:
+    """Where models are looked for."""
+    named = os.environ.get(FOLDER_VARIABLE)
+    return Path(named) if named else Path(str(resources.files("detangled_models")))
+
+
+def load_model(kind: str, folder: Path | None = None) -> Model:
+    """Read and verify a model, DENOISER or TRAINING_STEP. Raises ModelError where it is missing, damaged or other."""
+    path = (folder or models_folder()) / _FILES[kind]
+    manifest = _manifest(path.with_suffix(".json"), kind)
+    try:
+        data = path.read_bytes()
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror}): {_REMEDY}") from error
+    if hashlib.sha256(data).hexdigest() != manifest["sha256"]:
+        raise ModelError(f"{path}: its bytes are not those its manifest was written for: {_REMEDY}")
+    try:
+        model = Model(
+            path=path,
+            kind=kind,
+            data=data,
+            architecture=dict(manifest["architecture"]),
+            parameters=int(manifest["parameters"]),
+            whitening=Whitening(**{name: tuple(value) for name, value in manifest["whitening"].items()}),
+            schedule=CosineSchedule(**manifest["schedule"]),
+            cells=int(manifest["cells"]),
+            batch=int(manifest["batch"]) if kind == TRAINING_STEP else 0,
+            weights_at=int(manifest["weights"]["offset"]) if kind == DENOISER else -1,
+            training=dict(manifest["training"]),
+        )
+        if min(model.parameters, model.cells) < 1:
+            raise ValueError("a network without weights or cells")
+        if kind == DENOISER and not 0 <= model.weights_at <= len(data) - 2 * model.parameters:
+            raise ValueError("weights that are not in the file")
+    except (ValueError, TypeError, KeyError, AttributeError) as error:
+        raise ModelError(f"{path.with_suffix('.json')}: damaged ({error}): {_REMEDY}") from error
+    return model
+
+
+def _manifest(path: Path, kind: str) -> dict[str, Any]:
+    """A manifest with all its fields."""
+    try:
+        manifest = json.loads(path.read_text(encoding="utf-8"))
+    except OSError as error:
+        raise ModelError(f"{path}: cannot be read ({error.strerror}): {_REMEDY}") from error
+    except ValueError as error:
+        raise ModelError(f"{path}: not a model's manifest, or damaged: {_REMEDY}") from error
+    if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
+        raise ModelError(f"{path}: not a model's manifest: {_REMEDY}")
+    if manifest.get("version") != VERSION:
+        raise ModelError(
+            f"{path}: a model of version {manifest.get('version')}; this detangled reads version {VERSION}: {_REMEDY}"
+        )
+    missing = [name for name in (*_FIELDS, *_OWN_FIELDS[kind]) if name not in manifest]
+    if missing:
+        raise ModelError(f"{path}: the manifest lacks {', '.join(missing)}: {_REMEDY}")
+    if manifest["kind"] != kind:
+        raise ModelError(f"{path}: a {manifest['kind']}, not a {kind}: {_REMEDY}")
+    return manifest
+
+
+def same_network(one: Model, other: Model) -> bool:
+    """Whether two models are of one network, in data that are whitened alike."""
+    names = ("architecture", "parameters", "whitening", "schedule", "cells")
+    return all(getattr(one, name) == getattr(other, name) for name in names)

@@ -1,0 +1,334 @@
+"""Training of the denoiser: paper, section Training.
+
+Variance-preserving diffusion under the cosine schedule (Nichol and Dhariwal 2021); the network predicts the clean
+whitened signal, with AdamW (Loshchilov and Hutter 2019), a learning rate that rises and then falls as a cosine,
+clipped gradients, and bfloat16 on a GPU. What is exported is the moving average of the weights.
+
+What a step sees is drawn from its own number, so a training that was stopped goes on as if it had not been, and
+several processes (torchrun) share the very batches that one would see.
+"""
+
+from __future__ import annotations
+
+import math
+import os
+import subprocess
+import time
+from collections.abc import Callable
+from dataclasses import asdict, dataclass, field, replace
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import torch
+import torch.distributed as distributed
+from numpy.typing import NDArray
+from torch import Tensor
+
+from detangled.diffusion.schedule import CosineSchedule
+from detangled.diffusion.whitening import Whitening
+from detangled.errors import ModelError
+from detangled_training.parameters import Optimizer, flatten, flatten_tensors, layout, restore, torch_optimizer
+from detangled_training.signals import CELLS, procedural_signals
+from detangled_training.unet import Architecture, UNet
+
+CHECKPOINT = "checkpoint.pt"
+SIGNALS = "signals.npz"
+WHITENED_BY = 4000  # signals that the whitening is taken from
+HELD_OUT = 512
+HELD_OUT_SEED = 1
+EVALUATED_AT = 8  # noise levels, evenly spaced in time
+LEAST_RATE = 0.01  # of the learning rate, at the end
+# For one sample in so many nothing is asked for, and each number of the others is left out as often.
+UNASKED = 0.1
+# Half of all signals are whitened by themselves, and nothing is asked of them: what a fit to a few strands starts from.
+BY_ITSELF = 0.5
+# Half of all signals are shown as a part of a longer strand: the networks' ramp then covers less than root to tip.
+PART_OF_LONGER = 0.5
+LEAST_PART = 0.05
+
+
+@dataclass(frozen=True)
+class TrainingOptions:
+    """How a denoiser is trained. strands: procedural ones to train on. average: decay of the weights' mean."""
+
+    strands: int = 20_000
+    steps: int = 2_000
+    batch: int = 32
+    learning_rate: float = 4e-4
+    warm_up: int = 200
+    average: float = 0.999
+    seed: int = 0
+    cells: int = CELLS
+    evaluate_every: int = 500
+    save_every: int = 250
+    architecture: Architecture = field(default_factory=Architecture)
+    optimizer: Optimizer = field(default_factory=lambda: Optimizer(beta2=0.999))
+
+
+@dataclass(frozen=True)
+class Samples:
+    """Signals of strands to train on, all float32.
+
+    channels: (S, 3, L), whitened all alike. own: (S, 3, L), each whitened by itself, as a few strands of one texture
+    are when the network is fitted to them. asked: (S, 4), what one may ask for. position: (S, 2), the part of its ramp
+    that each covers.
+    """
+
+    channels: NDArray[np.float32]
+    own: NDArray[np.float32]
+    asked: NDArray[np.float32]
+    position: NDArray[np.float32]
+
+
+@dataclass(frozen=True)
+class Batch:
+    """What one step is given, all float32: see ``UNet.forward``; clean: (B, 3, L)."""
+
+    noisy: Tensor
+    clean: Tensor
+    log_snr: Tensor
+    position: Tensor
+    asked: Tensor
+    known: Tensor
+
+
+def make_samples(
+    count: int, seed: int, cells: int, whitening: Whitening | None, progress: Callable[[int], object] | None = None
+) -> tuple[Samples, Whitening]:
+    """Procedural signals with their labels, whitened as told, or by their own first some thousands."""
+    values, labels = procedural_signals(count, seed, cells, progress=progress)
+    if whitening is None:
+        whitening = Whitening.of(list(values[:WHITENED_BY].astype(np.float64)))
+        curvature, _, speed = whitening.mean
+        whitening = replace(whitening, mean=(curvature, 0.0, speed))
+    channels = np.concatenate([whitening.whiten(part.astype(np.float64)) for part in np.array_split(values, 64)])
+    own = np.stack([Whitening.of([value]).whiten(value) for value in values.astype(np.float64)]).astype(np.float32)
+    lengths = values[:, :, 2].mean(axis=1)
+    asked = np.stack([np.log(labels.radius), np.log(labels.wavelength), labels.twist, np.log(lengths)], axis=1)
+    position = labels.position.astype(np.float32)
+    return Samples(channels.astype(np.float32), own, asked.astype(np.float32), position), whitening
+
+
+def draw_batch(samples: Samples, schedule: CosineSchedule, options: TrainingOptions, step: int) -> Batch:
+    """The whole batch of a step, drawn from the seed and the step's number."""
+    rng = np.random.default_rng([options.seed, step])
+    size = options.batch
+    chosen = rng.integers(len(samples.channels), size=size)
+    by_itself = rng.uniform(size=size) < BY_ITSELF
+    clean = np.where(by_itself[:, None, None], samples.own[chosen], samples.channels[chosen])
+    # A mirrored strand is as likely; both whitenings of it are those of the strand, with the other sign.
+    clean[rng.uniform(size=size) < 0.5, 1] *= -1.0
+    # One time in each of as many equal parts: less noise in the loss.
+    times = (rng.permutation(size) + rng.uniform(size=size)) / size
+    known = (rng.uniform(size=(size, 4)) >= UNASKED) & (rng.uniform(size=(size, 1)) >= UNASKED)
+    known &= ~by_itself[:, None]
+    ramp = samples.position[chosen].astype(np.float64)
+    share = np.where(rng.uniform(size=size) < PART_OF_LONGER, LEAST_PART ** rng.uniform(size=size), 1.0)
+    begin = rng.uniform(size=size) * (1.0 - share)
+    ramp = begin[:, None] + share[:, None] * ramp
+    noise = rng.standard_normal(clean.shape, dtype=np.float32)
+    return _noisy(clean, noise, times, ramp, samples.asked[chosen], known, schedule)
+
+
+def _noisy(
+    clean: NDArray[np.float32],
+    noise: NDArray[np.float32],
+    times: NDArray[np.float64],
+    ramp: NDArray[np.float64],
+    asked: NDArray[np.float32],
+    known: NDArray[np.bool_],
+    schedule: CosineSchedule,
+) -> Batch:
+    alpha, sigma = (part[:, None, None] for part in (schedule.alpha(times), schedule.sigma(times)))
+    at = (np.arange(clean.shape[2]) + 0.5) / clean.shape[2]
+    position = ramp[:, :1] + (ramp[:, 1:] - ramp[:, :1]) * at
+    arrays = (alpha * clean + sigma * noise, clean, schedule.log_snr(times), position, asked, known)
+    return Batch(*(torch.from_numpy(np.ascontiguousarray(array, dtype=np.float32)) for array in arrays))
+
+
+class Training:
+    """A denoiser in training: its weights, their average, the optimiser's state, and how it went so far."""
+
+    def __init__(self, options: TrainingOptions, folder: Path, note: Callable[[str], object] = lambda text: None):
+        self.options, self.folder, self.note = options, folder, note
+        self.rank, self.world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+        self.on_gpu = torch.cuda.is_available()
+        self.device = (
+            torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0"))) if self.on_gpu else torch.device("cpu")
+        )
+        if self.world > 1 and not distributed.is_initialized():
+            distributed.init_process_group("nccl" if self.on_gpu else "gloo")
+        if options.batch % self.world:
+            raise ModelError(f"a batch of {options.batch} cannot be shared by {self.world} processes evenly")
+        torch.manual_seed(options.seed)
+        self.network = UNet(options.architecture).to(self.device)
+        self.optimizer = torch_optimizer(self.network, options.optimizer, options.learning_rate)
+        self.schedule = CosineSchedule()
+        self.average = {name: value.detach().clone() for name, value in self.network.named_parameters()}
+        self.step = 0
+        self.seconds = 0.0
+        self.history: list[tuple[int, float, float]] = []  # step, mean loss since the last, held-out loss
+
+    @property
+    def path(self) -> Path:
+        return self.folder / CHECKPOINT
+
+    def run(self, progress: Callable[[int], object] | None = None) -> None:
+        """Train up to the last step, saving and evaluating on the way; a checkpoint found is gone on from."""
+        self.folder.mkdir(parents=True, exist_ok=True)
+        whitening = self._resume()
+        options = self.options
+        samples, self.whitening = make_samples(options.strands, options.seed, options.cells, whitening)
+        held_out, _ = make_samples(HELD_OUT, options.seed + HELD_OUT_SEED, options.cells, self.whitening)
+        if progress is not None:
+            progress(self.step)
+        losses = []
+        began = time.monotonic()
+        while self.step < options.steps:
+            losses.append(self._train(draw_batch(samples, self.schedule, options, self.step)))
+            self.step += 1
+            last = self.step == options.steps
+            if self.step % options.evaluate_every == 0 or last:
+                score = self.evaluate(held_out)
+                self.history.append((self.step, float(np.mean(losses)), score))
+                self.note(f"step {self.step}: loss {np.mean(losses):.4f}, held out {score:.4f}")
+                losses = []
+            if self.step % options.save_every == 0 or last:
+                self.seconds += time.monotonic() - began
+                began = time.monotonic()
+                self.save()
+            if progress is not None:
+                progress(1)
+
+    def _rate(self) -> float:
+        """The learning rate of the step at hand."""
+        options = self.options
+        rise = min(1.0, (self.step + 1) / max(options.warm_up, 1))
+        fall = 0.5 * (1.0 + math.cos(math.pi * self.step / options.steps))
+        return options.learning_rate * rise * (LEAST_RATE + (1.0 - LEAST_RATE) * fall)
+
+    def _train(self, batch: Batch) -> float:
+        size = self.options.batch // self.world
+        part = slice(self.rank * size, (self.rank + 1) * size)
+        given = [
+            getattr(batch, name)[part].to(self.device) for name in ("noisy", "log_snr", "position", "asked", "known")
+        ]
+        self.network.train()
+        for group in self.optimizer.param_groups:
+            group["lr"] = self._rate()
+        self.optimizer.zero_grad(set_to_none=True)
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.on_gpu):
+            predicted = self.network(*given)
+        loss = ((predicted.float() - batch.clean[part].to(self.device)) ** 2).mean()
+        loss.backward()
+        if self.world > 1:
+            for parameter in [p for p in self.network.parameters() if p.grad is not None] + [loss.detach()]:
+                tensor = parameter.grad if parameter.grad is not None else parameter
+                distributed.all_reduce(tensor)
+                tensor /= self.world
+        torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.options.optimizer.clip)
+        self.optimizer.step()
+        # Early averages would remember the start for long.
+        decay = min(self.options.average, (1.0 + self.step) / (10.0 + self.step))
+        with torch.no_grad():
+            for name, value in self.network.named_parameters():
+                self.average[name].lerp_(value, 1.0 - decay)
+        return float(loss.detach())
+
+    def evaluate(self, samples: Samples) -> float:
+        """The averaged network's loss on samples, asked for, at noise levels and with noise that are always the same."""
+        network = UNet(self.options.architecture).to(self.device)
+        network.load_state_dict({**network.state_dict(), **self.average})
+        network.eval()
+        total = 0.0
+        for level in range(EVALUATED_AT):
+            rng = np.random.default_rng([HELD_OUT_SEED, level])
+            count = len(samples.channels)
+            noise = rng.standard_normal(samples.channels.shape, dtype=np.float32)
+            times = np.full(count, (level + 0.5) / EVALUATED_AT)
+            known = np.ones((count, 4), dtype=bool)
+            everything = _noisy(
+                samples.channels, noise, times, samples.position.astype(np.float64), samples.asked, known, self.schedule
+            )
+            for first in range(0, count, 128):
+                part = slice(first, first + 128)
+                given = (everything.noisy, everything.log_snr, everything.position, everything.asked, everything.known)
+                with torch.no_grad():
+                    predicted = network(*(tensor[part].to(self.device) for tensor in given)).cpu()
+                total += float(((predicted - everything.clean[part]) ** 2).sum())
+        return total / (EVALUATED_AT * samples.channels.size)
+
+    def save(self) -> None:
+        """Write the checkpoint: what is exported, and what it takes to go on."""
+        if self.rank:
+            return
+        contents = {
+            "architecture": asdict(self.options.architecture),
+            "weights": flatten_tensors(self.average, layout(self.network)),
+            "whitening": asdict(self.whitening),
+            "schedule": asdict(self.schedule),
+            "cells": self.options.cells,
+            "training": self.report(),
+            "state": {
+                "step": self.step,
+                "seconds": self.seconds,
+                "history": self.history,
+                "current": flatten(self.network),
+                "optimizer": self.optimizer.state_dict(),
+                "options": _plain(self.options),
+            },
+        }
+        temporary = self.path.with_suffix(".new")
+        torch.save(contents, temporary)
+        os.replace(temporary, self.path)
+
+    def report(self) -> dict[str, Any]:
+        """What a manifest says of a training: data, seeds, steps, scores, time and place."""
+        return {
+            "commit": _commit(),
+            "data": f"{self.options.strands} procedural strands of the eight types, mirrored",
+            **{k: v for k, v in _plain(self.options).items() if k not in ("architecture", "optimizer")},
+            "steps_done": self.step,
+            "seconds": round(self.seconds),
+            "device": torch.cuda.get_device_name() if self.on_gpu else "CPU",
+            "processes": self.world,
+            "held_out_strands": HELD_OUT,
+            "history": [[step, round(loss, 5), round(score, 5)] for step, loss, score in self.history],
+        }
+
+    def _resume(self) -> Whitening | None:
+        if not self.path.is_file():
+            return None
+        stored = torch.load(self.path, map_location="cpu", weights_only=True)
+        state = stored["state"]
+        mine, theirs = _plain(self.options), state["options"]
+        differing = sorted(name for name in mine if mine[name] != theirs.get(name))
+        if differing:
+            raise ModelError(
+                f"{self.path}: that training was begun with another {', '.join(differing)}; give the same options, "
+                "or another folder"
+            )
+        restore(self.network, state["current"])
+        slots_of = UNet(self.options.architecture)
+        restore(slots_of, stored["weights"])
+        self.average = {name: value.detach().clone().to(self.device) for name, value in slots_of.named_parameters()}
+        self.optimizer.load_state_dict(state["optimizer"])
+        self.step, self.seconds, self.history = state["step"], state["seconds"], list(state["history"])
+        self.note(f"{self.path}: going on from step {self.step}")
+        return Whitening(**{name: tuple(value) for name, value in stored["whitening"].items()})
+
+
+def _plain(options: TrainingOptions) -> dict[str, Any]:
+    """The options as plain values that a checkpoint and a manifest can hold."""
+    plain = asdict(options)
+    plain["architecture"]["channels"] = list(plain["architecture"]["channels"])
+    return plain
+
+
+def _commit() -> str:
+    """The commit this code is at, "" where it is not in a repository."""
+    run = subprocess.run(
+        ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
+    )
+    return run.stdout.strip()

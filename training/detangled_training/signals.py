@@ -1,0 +1,170 @@
+"""Procedural strands as signals for training: straightened into canonical space, then kappa, tau and v on a grid.
+
+Paper section "Data Generation and Curation". Twists tilt a strand's axis at random; its centreline takes that away.
+A centreline needs turns to be found, so every strand is made with more hair before its root and beyond its tip, is
+straightened whole, and is cut: then a wave of a single turn is texture too, as it was asked, and the ends of the axis,
+known least well, are gone.
+"""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+from dataclasses import dataclass, fields
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.diffusion.whitening import Whitening
+from detangled.errors import TextureError
+from detangled.geometry.arc import arc_lengths
+from detangled.geometry.centerline import LEAST_CURL, centerlines
+from detangled.geometry.signal import signals
+from detangled.geometry.winding import STRAIGHT_RADIUS, winding
+from detangled.grooming.guides import to_canonical
+from detangled.texture import arc_of_a_turn
+from detangled_training.strands import Recipes, Strands, draw_recipes, make_strands
+
+CELLS = 256
+# Rebuilt from its cells, a twisted strand of type VIII drifts by 2.0 radii over its whole length with 8 cells a turn,
+# by 1.0 with 16 and by 0.8 with 24 (medians of 300, T_f about 0.8).
+CELLS_PER_TURN = 16.0
+CHUNK = 256  # strands made at once: some tens of megabytes
+
+# Turns that a strand is straightened with, and how many of them at least lie beyond each end.
+FEWEST_TURNS = 8.0
+DROPPED_TURNS = 1.5
+# Weak waves show to the centreline over many turns only; a strand that needs more than so many is straight already,
+# and a twist tilts it by less than 7 degrees.
+MOST_TURNS = 24.0
+CURL_MARGIN = 1.2  # on what the centreline asks for
+
+_CROP = 2  # tells the stream that places the crop from the others of a strand
+
+
+@dataclass(frozen=True)
+class SignalLabels:
+    """What is known of each signal, an array (S,) each unless said.
+
+    kind: int8, index into HAIR_TYPES. radius, wavelength [cm], twist (T_f), length [cm] of arc, hand (+1 or -1),
+    twists (how many): as constructed (``Strands``).
+    wound_radius, wound_wavelength [cm]: as measured in canonical space by winding; NaN where it does not wind.
+    arc: [cm], arc length of the canonical strand, which the mean of v is for a whole one.
+    turns: of the untwisted helix, over the whole strand. straightened: whether its axis was found and straightened.
+    position: (S, 2), the part [t0, t1] of the strand's ramp from root to tip that the signal covers.
+    """
+
+    kind: NDArray[np.int8]
+    radius: NDArray[np.float64]
+    wavelength: NDArray[np.float64]
+    twist: NDArray[np.float64]
+    length: NDArray[np.float64]
+    hand: NDArray[np.int8]
+    twists: NDArray[np.int64]
+    wound_radius: NDArray[np.float64]
+    wound_wavelength: NDArray[np.float64]
+    arc: NDArray[np.float64]
+    turns: NDArray[np.float64]
+    straightened: NDArray[np.bool_]
+    position: NDArray[np.float64]
+
+
+@dataclass(frozen=True)
+class Straightened:
+    """Strands in canonical space: points (P, 3) [cm], offsets (S + 1,), and for which of them an axis was found."""
+
+    points: NDArray[np.float64]
+    offsets: NDArray[np.int64]
+    found: NDArray[np.bool_]
+
+
+def procedural_signals(
+    count: int,
+    seed: int,
+    cells: int = CELLS,
+    first: int = 0,
+    cells_per_turn: float = CELLS_PER_TURN,
+    progress: Callable[[int], object] | None = None,
+) -> tuple[NDArray[np.float32], SignalLabels]:
+    """Signals (count, cells, 3) of procedural strands ``first`` to ``first + count`` of a seed, and their labels.
+
+    kappa, tau [1/cm] and v [cm per t], t from 0 to 1 over the signal. The type of each is drawn from the eight, all
+    alike. A strand of more turns than the cells can hold, at ``cells_per_turn``, is put on a finer grid, and a random
+    stretch of it taken. A strand depends on the seed and its number alone. progress: told how many were finished.
+    """
+    if count < 1 or cells < 1:
+        raise TextureError(f"signals must be at least one, of at least one cell, not {count} of {cells}")
+    out = np.empty((count, cells, 3), dtype=np.float32)
+    parts = []
+    for start in range(0, count, CHUNK):
+        size = min(CHUNK, count - start)
+        recipes = draw_recipes(size, seed, first + start)
+        labels = _fill(recipes, seed, cells_per_turn, out[start : start + size])
+        parts.append(labels)
+        if progress is not None:
+            progress(size)
+    names = [field.name for field in fields(SignalLabels)]
+    return out, SignalLabels(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
+
+
+def pooled_whitening(values: NDArray[np.floating]) -> Whitening:
+    """The whitening that suits all cells of signals (S, L, 3) together; some thousands of signals say enough."""
+    return Whitening.of(list(values.astype(np.float64)))
+
+
+def margins(recipes: Recipes) -> NDArray[np.float64]:
+    """How much more hair [cm] each strand (S,) needs at either end to be straightened; 0 where it is straight."""
+    radius, wavelength = recipes.radius.mean(axis=1), recipes.wavelength.mean(axis=1)
+    turn = arc_of_a_turn(radius, wavelength)
+    # What the centreline asks of a curl: its slope, squared, times its turns squared.
+    least = CURL_MARGIN * np.sqrt(LEAST_CURL) * turn / (2.0 * np.pi * radius)
+    turns = recipes.length / turn
+    missing = 0.5 * (np.maximum(least, FEWEST_TURNS) - turns)
+    return np.where(least > MOST_TURNS, 0.0, np.maximum(missing, DROPPED_TURNS) * turn)
+
+
+def straightened(strands: Strands) -> Straightened:
+    """The bodies of strands in canonical space, cut from the whole; where no axis is found they stay as they are."""
+    guides, _ = centerlines(strands.points, strands.offsets)
+    canonical = to_canonical(strands.points, guides, strands.offsets)
+    # A strand without curl is its own centreline, and would lie on the axis.
+    found = winding(canonical, strands.offsets)[0] >= STRAIGHT_RADIUS
+    counts = np.diff(strands.body, axis=1)[:, 0]
+    offsets = np.concatenate([[0], np.cumsum(counts)])
+    rows = np.arange(offsets[-1]) + np.repeat(strands.body[:, 0] - offsets[:-1], counts)
+    points = np.where(np.repeat(found, counts)[:, None], canonical[rows], strands.points[rows])
+    return Straightened(points, offsets, found)
+
+
+def _fill(recipes: Recipes, seed: int, cells_per_turn: float, out: NDArray[np.float32]) -> SignalLabels:
+    """Fill ``out`` (S, L, 3) with the signals of recipes."""
+    cells = out.shape[1]
+    strands = make_strands(recipes, seed, margins(recipes))
+    canonical = straightened(strands)
+    turns = strands.length / arc_of_a_turn(strands.radius, strands.wavelength)
+    grids = np.maximum(cells, np.ceil(turns * cells_per_turn).astype(np.int64))
+    starts = np.concatenate([[0], np.cumsum(grids)])
+    values = signals(canonical.points, canonical.offsets, starts)
+
+    share = np.array([np.random.default_rng([seed, int(number), _CROP]).random() for number in recipes.number])
+    begin = np.minimum((share * (grids - cells + 1)).astype(np.int64), grids - cells)
+    out[:] = values[(starts[:-1] + begin)[:, None] + np.arange(cells)]
+    # v is per t of the whole strand: per t of the stretch it is less.
+    part = cells / grids
+    out[:, :, 2] *= part[:, None]
+    wound_radius, wound_wavelength = winding(canonical.points, canonical.offsets)
+    winds = canonical.found
+    return SignalLabels(
+        kind=strands.kind,
+        radius=strands.radius,
+        wavelength=strands.wavelength,
+        twist=strands.twist,
+        length=strands.length,
+        hand=strands.hand,
+        twists=strands.twists,
+        wound_radius=np.where(winds, wound_radius, np.nan),
+        wound_wavelength=np.where(winds, wound_wavelength, np.nan),
+        arc=arc_lengths(canonical.points, canonical.offsets),
+        turns=turns,
+        straightened=winds,
+        position=np.stack([begin / grids, (begin + cells) / grids], axis=1),
+    )
