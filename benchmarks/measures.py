@@ -18,6 +18,7 @@ from detangled.geometry.canonical import guide_frames
 from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import signals
 from detangled.geometry.spline import chord_lengths, distinct_points, spline_sample, spline_slopes
+from detangled.groom import offsets_of
 from detangled.grooming.guides import style_guides
 from detangled.grooming.placing import place
 
@@ -222,7 +223,7 @@ def strand_signals(canonical: Canonical, cell_width: float) -> list[Floats]:
     """kappa, tau, v (L, 3) of each strand on cells of one width [cm]."""
     arcs = arc_lengths(canonical.points, canonical.offsets)
     cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), FEWEST_CELLS)
-    starts = np.concatenate([[0], np.cumsum(cells)])
+    starts = offsets_of(cells)
     return list(rows(signals(canonical.points, canonical.offsets, starts), starts))
 
 

@@ -28,8 +28,9 @@ from numpy.typing import NDArray
 
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
+from detangled_training.checkpoint import Checkpoint
 from detangled_training.onnx_export import STEP_INPUTS, export, random_inputs, random_step
-from detangled_training.parameters import Optimizer, torch_optimizer, torch_step
+from detangled_training.parameters import Optimizer, flatten, torch_optimizer, torch_step
 from detangled_training.unet import UNet
 
 SEED = 1
@@ -137,7 +138,9 @@ def main(arguments: list[str] | None = None) -> None:
         folder = Path(name)
         whitening = Whitening((1.0, 1.0), (0.0, 0.0, 0.0), (1.0, 1.0, 1.0))
         began = time.perf_counter()
-        export(network, whitening, CosineSchedule(), folder, {}, cells=options.cells, batch=BATCH)
+        export(
+            Checkpoint(network.sizes, flatten(network), whitening, CosineSchedule(), options.cells, {}), folder, BATCH
+        )
         sizes = ", ".join(f"{path.name} {path.stat().st_size / 1e6:.2f} MB" for path in sorted(folder.glob("*.onnx")))
         parameters = json.loads((folder / "denoiser.json").read_text(encoding="utf-8"))["parameters"]
         print(

@@ -20,6 +20,7 @@ from numpy.typing import NDArray
 from detangled.diffusion.patches import PatchSchedule, denoise_strands, plan_stretches
 from detangled.diffusion.sampler import DEFAULT_STEPS, solver_coefficients
 from detangled.diffusion.schedule import CosineSchedule
+from detangled.groom import offsets_of
 from detangled.kernels import parallel_kernel, prange
 from detangled.synthesis import OFFERED, WIDEST_SHARE
 
@@ -98,7 +99,7 @@ def random_targets(rng: np.random.Generator, count: int, cells: int) -> tuple[Fl
         np.cos(phase[e, :, :, None] + rate[e, :, :, None] * np.arange(n)).sum(axis=1) / 2**0.5
         for e, n in enumerate(lengths)
     ]
-    return np.concatenate(channels, axis=1), np.concatenate([[0], np.cumsum(lengths)])
+    return np.concatenate(channels, axis=1), offsets_of(lengths)
 
 
 def compare(

@@ -37,6 +37,7 @@ from detangled import Groom, Length, Options
 from detangled.fitted import FINETUNE, METHODS, FittedTexture
 from detangled.geometry.signal import curve_counts, curves
 from detangled.geometry.winding import winding
+from detangled.groom import offsets_of
 from detangled.grooming.guides import style_guides
 from detangled.synthesis import synthesise
 from detangled.units import CM_PER_UNIT
@@ -74,6 +75,9 @@ class Column:
         self.cells[measure] = (text, None if ok is None else bool(ok))
 
 
+FITTED: dict[bytes, FittedTexture] = {}
+
+
 @dataclass(frozen=True)
 class Job:
     """Input strands and targets as they were read, a folder for files, the strands' seed, and how to fit.
@@ -91,7 +95,11 @@ class Job:
     halvings: int
 
     def fit(self, targets: Groom) -> FittedTexture:
-        return detangled.fit(targets, self.method)
+        """Fit, once for the jobs that share their targets."""
+        key = targets.points.tobytes()
+        if key not in FITTED:
+            FITTED[key] = detangled.fit(targets, self.method)
+        return FITTED[key]
 
     def retextured(self, groom: Groom, texture: FittedTexture, length: Length, column: Column | None = None) -> Groom:
         """Retexture, write, and read the file again."""
@@ -282,8 +290,8 @@ def distributions(
     width = float(real[0][:, 2].mean() / len(real[0]))
     longer = style_guides(groom).lengths >= measures.axial_lengths(aims).min()
     found: dict[str, list[tuple[tuple[float, float], tuple[float, float]]]] = {}
-    for _ in range(job.halvings):
-        order = rng.permutation(len(real))
+    for halving in range(job.halvings):
+        order = np.random.default_rng([job.seed, halving]).permutation(len(real))
         seen, held_out = np.sort(order[: len(real) // 2]), order[len(real) // 2 :]
         chosen = np.sort(rng.permutation(groom.strand_count)[:HELD_OUT])
         texture = job.fit(job.targets.select(seen))
@@ -340,7 +348,7 @@ def axis_wander(
     made = synthesise(texture, arcs, chosen.astype(np.int64), seed)
     found = []
     for values, starts in ((texture.signals, texture.starts), made):
-        offsets = np.concatenate([[0], np.cumsum(curve_counts(values, starts))])
+        offsets = offsets_of(curve_counts(values, starts))
         found.append(measures.wander(curves(values, starts, offsets), offsets))
     target, new = (np.percentile(w, [50, 90]) for w in found)
     column.put("  targets' axis wander: median, 90 %", f"{target[0]:.3f}, {target[1]:.3f}")

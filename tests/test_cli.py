@@ -333,7 +333,7 @@ def test_progress_bar_waits_and_only_shows_on_a_terminal(monkeypatch: pytest.Mon
         with console.progress_bar("sampling", 10) as advance:
             for _ in range(10):
                 time.sleep(seconds / 10)
-                advance(1)
+                advance.update(1)
         return stream.getvalue()
 
     assert bar(Terminal(), 0.05) == ""

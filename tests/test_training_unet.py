@@ -4,6 +4,7 @@ from __future__ import annotations
 
 import hashlib
 import json
+from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,19 +18,19 @@ onnxruntime = pytest.importorskip("onnxruntime")
 from detangled.diffusion.schedule import CosineSchedule  # noqa: E402
 from detangled.diffusion.whitening import Whitening  # noqa: E402
 from detangled.errors import ModelError  # noqa: E402
-from detangled_training import onnx_export  # noqa: E402
+from detangled_training import onnx_export, onnx_translation  # noqa: E402
+from detangled_training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint  # noqa: E402
+from detangled_training.layers import MATRICES  # noqa: E402
 from detangled_training.onnx_export import STEP_INPUTS, export, random_inputs, random_step  # noqa: E402
 from detangled_training.parameters import (  # noqa: E402
     Optimizer,
     flatten,
     layout,
-    load,
     restore,
-    save,
     torch_optimizer,
     torch_step,
 )
-from detangled_training.unet import MATRICES, Architecture, UNet  # noqa: E402
+from detangled_training.unet import Architecture, UNet  # noqa: E402
 
 TINY = Architecture(channels=(8, 16), attention=1, embedding=16, groups=4, heads=2)
 WHITENING = Whitening((0.7, 0.4), (0.1, 0.2, -0.3), (1.1, 1.2, 0.9))
@@ -50,6 +51,10 @@ def tiny_network(seed: int = 0) -> UNet:
     return network
 
 
+def checkpoint(network: UNet) -> Checkpoint:
+    return Checkpoint(network.sizes, flatten(network), WHITENING, SCHEDULE, CELLS, TRAINING)
+
+
 def tensors(arrays: dict[str, Any]) -> list[Any]:
     return [torch.from_numpy(array) for array in arrays.values()]
 
@@ -63,11 +68,19 @@ def session(model: Path | bytes) -> Any:
     return onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
 
 
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """On a busy machine several wait for each other, hundreds of times longer than they work on what is tiny."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
 @pytest.fixture(scope="module")
 def exported(tmp_path_factory: pytest.TempPathFactory) -> Path:
     folder: Path = tmp_path_factory.mktemp("models")
-    save(tiny_network(), folder / "checkpoint.pt")
-    export(folder / "checkpoint.pt", WHITENING, SCHEDULE, folder, TRAINING, CELLS, BATCH, OPTIMIZER)
+    export(checkpoint(tiny_network()), folder, BATCH, OPTIMIZER)
     return folder
 
 
@@ -156,9 +169,11 @@ def test_the_vector_holds_every_parameter_once_and_gives_it_back(tmp_path: Path)
     slots = layout(network)
     assert [slot.offset for slot in slots] == list(np.cumsum([0] + [slot.size for slot in slots[:-1]]))
     assert {slot.name for slot in slots} == {name for name, _ in network.named_parameters()}
-    save(network, tmp_path / "checkpoint.pt")
-    again = load(tmp_path / "checkpoint.pt")
-    assert again.sizes == TINY
+    write_checkpoint(checkpoint(network), tmp_path / "checkpoint.pt")
+    stored = read_checkpoint(tmp_path / "checkpoint.pt")
+    assert (stored.architecture, stored.whitening, stored.schedule) == (TINY, WHITENING, SCHEDULE)
+    assert (stored.cells, stored.training, stored.state) == (CELLS, TRAINING, None)
+    again = stored.network()
     for name, parameter in network.named_parameters():
         assert torch.equal(again.get_parameter(name), parameter), name
 
@@ -243,7 +258,7 @@ def test_manifests_say_what_a_runtime_needs(exported: Path) -> None:
     assert optimizer.pop("name") == "AdamW"
     assert Optimizer(**optimizer) == OPTIMIZER
     assert manifest["batch"] == BATCH
-    assert {path.suffix for path in exported.iterdir()} == {".onnx", ".json", ".pt"}
+    assert {path.suffix for path in exported.iterdir()} == {".onnx", ".json"}
 
 
 def test_the_training_step_carries_no_weights(exported: Path) -> None:
@@ -257,9 +272,9 @@ def test_the_same_network_gives_the_same_bytes(exported: Path, rounded: UNet) ->
 
 
 def test_an_export_that_is_off_is_refused_by_its_difference(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setitem(onnx_export.PLAIN, "sin", "Cos")
+    monkeypatch.setitem(onnx_translation.PLAIN, "sin", "Cos")
     with pytest.raises(ModelError, match=r"clean by onnxruntime and by torch differ by \d"):
-        export(tiny_network(), WHITENING, SCHEDULE, tmp_path, {}, CELLS, BATCH)
+        export(checkpoint(tiny_network()), tmp_path, BATCH)
     assert not list(tmp_path.iterdir())
 
 
@@ -268,4 +283,4 @@ def test_weights_too_large_for_float16_are_refused(tmp_path: Path) -> None:
     with torch.no_grad():
         network.head.bias.fill_(1e6)
     with pytest.raises(ModelError, match="float16"):
-        export(network, WHITENING, SCHEDULE, tmp_path, {})
+        export(checkpoint(network), tmp_path)

@@ -108,3 +108,17 @@ def test_it_does_the_main_job(programs: Path, elsewhere: Path) -> None:
     np.testing.assert_array_equal(new.attributes["groom_id"].values, old.attributes["groom_id"].values)
     assert np.isfinite(new.points).all()
     assert np.median(new.polyline_lengths() / old.polyline_lengths()) > 1.5
+
+
+def test_the_network_learns_and_draws_without_torch(programs: Path, elsewhere: Path) -> None:
+    _, coily = INPUTS
+    detangled, cache = programs / "detangled", str(elsewhere / "cache")
+    words = ("fit", coily, "coily.texture", "--method", "finetune", "--steps", 3)
+    fitted = run(detangled, *words, cwd=elsewhere, NUMBA_CACHE_DIR=cache)
+    assert fitted.returncode == 0, fitted.stderr
+    words = ("retexture", coily, "out.obj", "--target", "coily.texture", "--steps", 4)
+    done = run(detangled, *words, cwd=elsewhere, NUMBA_CACHE_DIR=cache)
+    assert done.returncode == 0, done.stderr
+    old, new = (read(elsewhere / name, unit="cm") for name in (coily, "out.obj"))
+    assert new.strand_count == old.strand_count
+    assert np.isfinite(new.points).all()

@@ -27,6 +27,11 @@ def is_quiet() -> bool:
     return bool(_shared().get(_QUIET, False))
 
 
+def hush() -> None:
+    """Be quiet from now on, as with --quiet: one of several processes that would say the same."""
+    _shared()[_QUIET] = True
+
+
 def note(text: str) -> None:
     """Say something on stderr, in one line, unless --quiet."""
     _say(text)

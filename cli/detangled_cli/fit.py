@@ -21,10 +21,24 @@ from detangled_cli.targets import method_option
     show_default=True,
     help="Of finetune: the same seed, the same weights.",
 )
+@click.option(
+    "--steps",
+    type=click.IntRange(min=1),
+    metavar="N",
+    help="Of finetune: most training steps. It stops before where more would not help. [default: 1600]",
+)
 @unit_option
 @threads_option
 @quiet_option
-def command(source: Path, target: Path, method: str | None, seed: int, unit: str | None, threads: int | None) -> None:
+def command(
+    source: Path,
+    target: Path,
+    method: str | None,
+    seed: int,
+    steps: int | None,
+    unit: str | None,
+    threads: int | None,
+) -> None:
     """Learn a texture from a few strands, one to some hundreds, and write it as a .texture file.
 
     \b
@@ -44,4 +58,4 @@ def command(source: Path, target: Path, method: str | None, seed: int, unit: str
     check_folder(target)
     announce_first_run("winding.winding")
     set_threads(threads)
-    save_texture(fitted_texture(source, unit, method, seed), target)
+    save_texture(fitted_texture(source, unit, method, seed, steps), target)

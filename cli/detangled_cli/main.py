@@ -41,6 +41,7 @@ VERBS = {
     "guides": Verb("detangled_cli.guides", "command", "Write a groom's style guides: strands without curl."),
     "convert": Verb("detangled_cli.convert", "command", "Convert a groom to another file format or unit."),
     "info": Verb("detangled_cli.info", "command", "Describe a groom: strands, lengths, unit, attributes."),
+    "train": Verb("detangled_cli.train", "command", "Train and export models (needs the extra: detangled[train])."),
 }
 
 EPILOG = """\b

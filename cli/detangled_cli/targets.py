@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
@@ -11,6 +12,7 @@ from detangled.errors import ModelError
 from detangled_cli.console import Command, note, progress_bar, warn
 
 if TYPE_CHECKING:
+    from detangled.diffusion.finetune import FineTuning
     from detangled.fitted import FittedTexture
     from detangled.groom import Groom
 
@@ -29,7 +31,9 @@ def method_option(command: Command) -> Command:
     )(command)
 
 
-def fitted_texture(target: Path, unit: str | None, method: str | None, seed: int = 0) -> FittedTexture:
+def fitted_texture(
+    target: Path, unit: str | None, method: str | None, seed: int = 0, steps: int | None = None
+) -> FittedTexture:
     """Load a .texture, or fit one to the strands of a groom file; say what it is like."""
     from detangled.fitted import SUFFIX, load_texture
 
@@ -49,14 +53,13 @@ def fitted_texture(target: Path, unit: str | None, method: str | None, seed: int
         unusable = strands.strand_count - int(usable_strands(strands).sum())
         if unusable:
             warn(f"{target}: {unusable} of {strands.strand_count} strands cannot be used and are left out")
-        texture = _fit(strands, method or DEFAULT_METHOD, seed)
+        texture = _fit(strands, method or DEFAULT_METHOD, seed, steps)
     note(f"{target}: {describe(texture)}")
     return texture
 
 
-def _fit(strands: Groom, method: str, seed: int) -> FittedTexture:
+def _fit(strands: Groom, method: str, seed: int, steps: int | None) -> FittedTexture:
     """Fit, with a bar that shows the loss where a network is trained."""
-    from detangled.diffusion.finetune import FineTuning
     from detangled.fitting import fit
 
     with progress_bar("training steps") as bar:
@@ -66,7 +69,14 @@ def _fit(strands: Groom, method: str, seed: int) -> FittedTexture:
             bar.set_postfix_str(f"loss {loss:.3f}", refresh=False)
             bar.update(1)
 
-        return fit(strands, method, FineTuning(seed=seed), show)
+        return fit(strands, method, _fine_tuning(seed, steps), show)
+
+
+def _fine_tuning(seed: int, steps: int | None) -> FineTuning:
+    from detangled.diffusion.finetune import FineTuning
+
+    usual = FineTuning(seed=seed)
+    return usual if steps is None else replace(usual, most_steps=steps, few_steps=min(steps, usual.few_steps))
 
 
 def describe(texture: FittedTexture) -> str:

@@ -19,7 +19,7 @@ from detangled.fitted import FINETUNE, METHODS, PATCHES, FittedTexture
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
-from detangled.groom import Groom
+from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import style_guides, usable_strands
 from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
@@ -27,21 +27,21 @@ from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
 
 POINTS_PER_TURN = 16  # of a new strand: with 12 the spread of its curvature is a percent narrower
 COARSE_CELLS = 512  # of a strand whose turns are only to be counted
-SHORTEST_CELLS = 8  # of any strand
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
 
 @dataclass(frozen=True)
 class Grid:
-    """How finely signals are measured. most_cells, fewest_cells: of a strand of median length."""
+    """How finely signals are measured. most_cells, fewest_cells: of a strand of median length; shortest: of any."""
 
     cells_per_turn: float
     most_cells: int
     fewest_cells: int
+    shortest: int
 
 
-PATCH_GRID = Grid(22.0, 512, 64)  # narrow cells cost little there, and keep curvature's spread
-NETWORK_GRID = Grid(16.0, 512, 256)  # a window of the network then holds 16 turns
+PATCH_GRID = Grid(22.0, 512, 64, 8)  # narrow cells cost little there, and keep curvature's spread
+NETWORK_GRID = Grid(16.0, 512, 256, 256)  # a window of the network then holds 16 turns
 
 
 def fit(
@@ -65,7 +65,7 @@ def fit(
         raise ModelError(f"{denoiser.path} and {step.path} are of different networks: export both anew")
     # At least as many cells as the network looks at. The whitening is the strands' own: in that of all hair, what tells
     # one strand of a texture from another would be too small for the network to learn.
-    texture = measured(groom, replace(NETWORK_GRID, fewest_cells=denoiser.cells))
+    texture = measured(groom, replace(NETWORK_GRID, fewest_cells=denoiser.cells, shortest=denoiser.cells))
     strands = [texture.whitening.whiten(texture.signals[a:b]) for a, b in pairwise(texture.starts)]
     tuned = fine_tune(strands, texture.whitening, step, denoiser.weights, fine_tuning, thread_count(), progress)
     return replace(texture, method=FINETUNE, weights=tuned.weights, architecture=denoiser.architecture)
@@ -95,8 +95,8 @@ def measured(groom: Groom, grid: Grid) -> FittedTexture:
     cell_width = float(
         np.clip(turn / grid.cells_per_turn, median_arc / grid.most_cells, median_arc / grid.fewest_cells)
     )
-    cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), SHORTEST_CELLS)
-    starts = np.concatenate([[0], np.cumsum(cells)])
+    cells = np.maximum(np.round(arcs / cell_width).astype(np.int64), grid.shortest)
+    starts = offsets_of(cells)
     values = signals(canonical, offsets, starts)
     return FittedTexture(
         signals=values,
@@ -124,5 +124,5 @@ def _arc_of_a_turn(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> f
 def _with_points_per_turn(groom: Groom, turn: float) -> Groom:
     """The strands with at least POINTS_PER_TURN points in each arc length ``turn`` [cm], without attributes."""
     needed = np.ceil(POINTS_PER_TURN * arc_lengths(groom.points, groom.offsets) / turn).astype(np.int64) + 1
-    offsets = np.concatenate([[0], np.cumsum(np.maximum(needed, groom.point_counts))])
+    offsets = offsets_of(np.maximum(needed, groom.point_counts))
     return replace(groom, points=resample(groom.points, groom.offsets, offsets), offsets=offsets, attributes={})

@@ -36,6 +36,11 @@ class Attribute:
         object.__setattr__(self, "scope", Scope(self.scope))
 
 
+def offsets_of(counts: ArrayLike) -> NDArray[np.int64]:
+    """Where each of some parts begins and the last ends, (S + 1,), from how long they are (S,)."""
+    return np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+
+
 @dataclass(frozen=True)
 class Groom:
     """Strands of hair.
@@ -84,7 +89,7 @@ class Groom:
     def from_strands(cls, strands: Iterable[ArrayLike], **fields: Any) -> Groom:
         """Make a groom of separate (n, 3) arrays of points [cm]."""
         arrays = [np.asarray(strand, dtype=np.float64).reshape(-1, 3) for strand in strands]
-        offsets = np.concatenate([[0], np.cumsum([len(a) for a in arrays], dtype=np.int64)])
+        offsets = offsets_of([len(a) for a in arrays])
         points = np.concatenate(arrays) if arrays else np.zeros((0, 3))
         return cls(points, offsets.astype(np.int64), **fields)
 
@@ -114,7 +119,7 @@ class Groom:
         """The groom of these strands (indices or a boolean mask), with their attributes."""
         chosen = np.arange(self.strand_count)[np.asarray(strands)]
         counts = self.point_counts[chosen]
-        offsets = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+        offsets = offsets_of(counts)
         rows = np.arange(offsets[-1]) - np.repeat(offsets[:-1] - self.offsets[chosen], counts)
         attributes = {
             name: Attribute(a.values[{Scope.STRAND: chosen, Scope.POINT: rows}[a.scope]], a.scope)

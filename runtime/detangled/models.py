@@ -19,7 +19,7 @@ from numpy.typing import NDArray
 
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
-from detangled.errors import ModelError
+from detangled.errors import DetangledError, ModelError
 
 if TYPE_CHECKING:
     import onnxruntime
@@ -122,9 +122,11 @@ def load_model(kind: str, folder: Path | None = None) -> Model:
         )
         if min(model.parameters, model.cells) < 1:
             raise ValueError("a network without weights or cells")
+        if kind == TRAINING_STEP and model.batch < 1:
+            raise ValueError("a step of training without samples")
         if kind == DENOISER and not 0 <= model.weights_at <= len(data) - 2 * model.parameters:
             raise ValueError("weights that are not in the file")
-    except (ValueError, TypeError, KeyError, AttributeError) as error:
+    except (ValueError, TypeError, KeyError, AttributeError, OverflowError, DetangledError) as error:
         raise ModelError(f"{path.with_suffix('.json')}: damaged ({error}): {_REMEDY}") from error
     return model
 
@@ -143,11 +145,11 @@ def _manifest(path: Path, kind: str) -> dict[str, Any]:
         raise ModelError(
             f"{path}: a model of version {manifest.get('version')}; this detangled reads version {VERSION}: {_REMEDY}"
         )
+    if manifest.get("kind", kind) != kind:
+        raise ModelError(f"{path}: a {manifest['kind']}, not a {kind}: {_REMEDY}")
     missing = [name for name in (*_FIELDS, *_OWN_FIELDS[kind]) if name not in manifest]
     if missing:
         raise ModelError(f"{path}: the manifest lacks {', '.join(missing)}: {_REMEDY}")
-    if manifest["kind"] != kind:
-        raise ModelError(f"{path}: a {manifest['kind']}, not a {kind}: {_REMEDY}")
     return manifest
 
 

@@ -17,7 +17,7 @@ from detangled.errors import ReadError
 from detangled.fitted import FittedTexture
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
-from detangled.groom import Groom
+from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import resampled_attributes, style_guides
 from detangled.grooming.lengths import Length, Seats, strands_on_guides
 from detangled.grooming.placing import resample
@@ -106,7 +106,7 @@ def retexture(
         if options.max_points is not None:
             counts = np.minimum(counts, max(options.max_points, 2))
         per_turn[members] = POINTS_PER_TURN * np.minimum(counts / needed, 1.0)
-        offsets = np.concatenate([[0], np.cumsum(counts)])
+        offsets = offsets_of(counts)
         points = resample(made.points, made.offsets, offsets)
         points[offsets[:-1]] = guides.groom.points[guides.groom.offsets[members]]
         if options.length is Length.STRAND:
@@ -117,7 +117,7 @@ def retexture(
         for k, name in enumerate(names):
             strands[name] = points[offsets[k] : offsets[k + 1]]
 
-    offsets = np.concatenate([[0], np.cumsum([len(s) for s in strands])]).astype(np.int64)
+    offsets = offsets_of([len(s) for s in strands])
     attributes, lost = resampled_attributes(groom, offsets)
     return Result(
         groom=replace(groom, points=np.concatenate(strands), offsets=offsets, attributes=attributes),

@@ -7,6 +7,7 @@ solver; at each step the predicted clean signal is given its length, which is li
 from __future__ import annotations
 
 from collections.abc import Callable
+from contextlib import nullcontext
 
 import numpy as np
 from numpy.typing import NDArray
@@ -18,6 +19,7 @@ from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.steering import steer_strands
 from detangled.errors import ModelError
 from detangled.fitted import FINETUNE, FittedTexture
+from detangled.groom import offsets_of
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, load_model
 
@@ -53,7 +55,7 @@ def synthesise(
     """
     network = _network(texture)
     cells = grid_cells(texture, arcs)
-    starts = np.concatenate([[0], np.cumsum(cells)])
+    starts = offsets_of(cells)
     out = np.empty((starts[-1], 3))
     for size in np.unique(cells):
         members = np.flatnonzero(cells == size)
@@ -72,7 +74,7 @@ def _network(texture: FittedTexture) -> Denoiser | None:
         return None
     model = load_model(DENOISER)
     if model.architecture != texture.architecture or model.parameters != len(texture.weights):
-        raise ModelError("the texture was fitted with another network than the one that is installed: fit it again")
+        raise ModelError(f"the texture was fitted with another network than {model.path}: fit it again")
     return NetworkDenoiser(model, texture.weights, thread_count())
 
 
@@ -89,9 +91,13 @@ def _sample_batch(
     generators = [np.random.default_rng([seed, int(name)]) for name in names]
     noise = np.stack([rng.standard_normal((3, cells)) for rng in generators])
     denoise = network or _patch_denoiser(texture, cells, generators)
-    channels = sample(denoise, noise, CosineSchedule(), steps, _guide(texture, cells, arcs))
-    values = texture.whitening.restore(channels)
-    values[:, :, 2] *= (arcs / values[:, :, 2].mean(axis=1))[:, None]
+    # A network of senseless weights predicts whatever it may: that is told of below, once.
+    with nullcontext() if network is None else np.errstate(all="ignore"):
+        channels = sample(denoise, noise, CosineSchedule(), steps, _guide(texture, cells, arcs))
+        values = texture.whitening.restore(channels)
+        values[:, :, 2] *= (arcs / values[:, :, 2].mean(axis=1))[:, None]
+    if not np.isfinite(values).all():
+        raise ModelError("the texture's network predicts no finite strands, its weights are damaged: fit it again")
     return values
 
 

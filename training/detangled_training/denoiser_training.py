@@ -27,13 +27,20 @@ from torch import Tensor
 
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
-from detangled.errors import ModelError
+from detangled.errors import DetangledError, ModelError
+from detangled_training.checkpoint import (
+    CHECKPOINT,
+    Checkpoint,
+    State,
+    architecture_of,
+    make_folder,
+    read_checkpoint,
+    write_checkpoint,
+)
 from detangled_training.parameters import Optimizer, flatten, flatten_tensors, layout, restore, torch_optimizer
 from detangled_training.signals import CELLS, procedural_signals
 from detangled_training.unet import Architecture, UNet
 
-CHECKPOINT = "checkpoint.pt"
-SIGNALS = "signals.npz"
 WHITENED_BY = 4000  # signals that the whitening is taken from
 HELD_OUT = 512
 HELD_OUT_SEED = 1
@@ -65,6 +72,13 @@ class TrainingOptions:
     architecture: Architecture = field(default_factory=Architecture)
     optimizer: Optimizer = field(default_factory=lambda: Optimizer(beta2=0.999))
 
+    @property
+    def plain(self) -> dict[str, Any]:
+        """The options as plain values that a checkpoint and a manifest can hold."""
+        plain = asdict(self)
+        plain["architecture"]["channels"] = list(plain["architecture"]["channels"])
+        return plain
+
 
 @dataclass(frozen=True)
 class Samples:
@@ -82,6 +96,15 @@ class Samples:
 
 
 @dataclass(frozen=True)
+class Data:
+    """What a network is trained on, what it is tried on, and how both are whitened."""
+
+    samples: Samples
+    held_out: Samples
+    whitening: Whitening
+
+
+@dataclass(frozen=True)
 class Batch:
     """What one step is given, all float32: see ``UNet.forward``; clean: (B, 3, L)."""
 
@@ -91,6 +114,19 @@ class Batch:
     position: Tensor
     asked: Tensor
     known: Tensor
+
+
+def begun(checkpoint: Checkpoint, path: Path) -> tuple[State, TrainingOptions]:
+    """How far a checkpoint's training got, and with which options. Raises ModelError where there is none to go on."""
+    if checkpoint.state is None:
+        raise ModelError(f"{path}: holds a network, but no training to go on with")
+    plain = checkpoint.state.options
+    try:
+        architecture, optimizer = architecture_of(plain["architecture"]), Optimizer(**plain["optimizer"])
+        options = TrainingOptions(**{**plain, "architecture": architecture, "optimizer": optimizer})
+    except (ValueError, TypeError, KeyError) as error:
+        raise ModelError(f"{path}: its training is of another version, or damaged ({error})") from error
+    return checkpoint.state, options
 
 
 def make_samples(
@@ -148,19 +184,25 @@ def _noisy(
 
 
 class Training:
-    """A denoiser in training: its weights, their average, the optimiser's state, and how it went so far."""
+    """A denoiser in training: its weights, their average, the optimiser's state, and how it went so far.
+
+    Where its folder holds a checkpoint it goes on from there. Raises ModelError where that was begun with other
+    options, WriteError where the folder cannot be written to.
+    """
 
     def __init__(self, options: TrainingOptions, folder: Path, note: Callable[[str], object] = lambda text: None):
-        self.options, self.folder, self.note = options, folder, note
+        self.options, self.folder = options, folder
         self.rank, self.world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+        self.note = note if self.rank == 0 else lambda text: None
+        if options.batch % self.world:
+            raise DetangledError(f"a batch of {options.batch} cannot be shared by {self.world} processes evenly")
+        make_folder(folder)
         self.on_gpu = torch.cuda.is_available()
         self.device = (
             torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0"))) if self.on_gpu else torch.device("cpu")
         )
         if self.world > 1 and not distributed.is_initialized():
             distributed.init_process_group("nccl" if self.on_gpu else "gloo")
-        if options.batch % self.world:
-            raise ModelError(f"a batch of {options.batch} cannot be shared by {self.world} processes evenly")
         torch.manual_seed(options.seed)
         self.network = UNet(options.architecture).to(self.device)
         self.optimizer = torch_optimizer(self.network, options.optimizer, options.learning_rate)
@@ -169,37 +211,46 @@ class Training:
         self.step = 0
         self.seconds = 0.0
         self.history: list[tuple[int, float, float]] = []  # step, mean loss since the last, held-out loss
+        self.whitening = self._resume()
 
     @property
     def path(self) -> Path:
         return self.folder / CHECKPOINT
 
-    def run(self, progress: Callable[[int], object] | None = None) -> None:
-        """Train up to the last step, saving and evaluating on the way; a checkpoint found is gone on from."""
-        self.folder.mkdir(parents=True, exist_ok=True)
-        whitening = self._resume()
+    def prepare(self, progress: Callable[[int], object] | None = None) -> Data:
+        """Make the data. progress: told how many strands were made."""
         options = self.options
-        samples, self.whitening = make_samples(options.strands, options.seed, options.cells, whitening)
-        held_out, _ = make_samples(HELD_OUT, options.seed + HELD_OUT_SEED, options.cells, self.whitening)
-        if progress is not None:
-            progress(self.step)
+        samples, whitening = make_samples(options.strands, options.seed, options.cells, self.whitening, progress)
+        held_out, _ = make_samples(HELD_OUT, options.seed + HELD_OUT_SEED, options.cells, whitening)
+        return Data(samples, held_out, whitening)
+
+    def run(self, data: Data | None = None, progress: Callable[[int, float], object] | None = None) -> None:
+        """Train up to the last step, saving and evaluating on the way. progress: told each step done and its loss."""
+        data = data or self.prepare()
+        options = self.options
         losses = []
         began = time.monotonic()
         while self.step < options.steps:
-            losses.append(self._train(draw_batch(samples, self.schedule, options, self.step)))
+            loss = self._train(draw_batch(data.samples, self.schedule, options, self.step))
+            losses.append(loss)
             self.step += 1
             last = self.step == options.steps
             if self.step % options.evaluate_every == 0 or last:
-                score = self.evaluate(held_out)
+                score = self.evaluate(data.held_out)
                 self.history.append((self.step, float(np.mean(losses)), score))
                 self.note(f"step {self.step}: loss {np.mean(losses):.4f}, held out {score:.4f}")
                 losses = []
             if self.step % options.save_every == 0 or last:
                 self.seconds += time.monotonic() - began
                 began = time.monotonic()
-                self.save()
+                self.save(data.whitening)
             if progress is not None:
-                progress(1)
+                progress(self.step, loss)
+
+    def close(self) -> None:
+        """Part from the other processes, where there are any."""
+        if distributed.is_initialized():
+            distributed.destroy_process_group()
 
     def _rate(self) -> float:
         """The learning rate of the step at hand."""
@@ -237,7 +288,7 @@ class Training:
         return float(loss.detach())
 
     def evaluate(self, samples: Samples) -> float:
-        """The averaged network's loss on samples, asked for, at noise levels and with noise that are always the same."""
+        """The averaged network's loss on samples, asked for, at always the same noise levels and noise."""
         network = UNet(self.options.architecture).to(self.device)
         network.load_state_dict({**network.state_dict(), **self.average})
         network.eval()
@@ -259,36 +310,35 @@ class Training:
                 total += float(((predicted - everything.clean[part]) ** 2).sum())
         return total / (EVALUATED_AT * samples.channels.size)
 
-    def save(self) -> None:
-        """Write the checkpoint: what is exported, and what it takes to go on."""
+    def save(self, whitening: Whitening) -> None:
+        """Write the checkpoint."""
         if self.rank:
             return
-        contents = {
-            "architecture": asdict(self.options.architecture),
-            "weights": flatten_tensors(self.average, layout(self.network)),
-            "whitening": asdict(self.whitening),
-            "schedule": asdict(self.schedule),
-            "cells": self.options.cells,
-            "training": self.report(),
-            "state": {
-                "step": self.step,
-                "seconds": self.seconds,
-                "history": self.history,
-                "current": flatten(self.network),
-                "optimizer": self.optimizer.state_dict(),
-                "options": _plain(self.options),
-            },
-        }
-        temporary = self.path.with_suffix(".new")
-        torch.save(contents, temporary)
-        os.replace(temporary, self.path)
+        state = State(
+            step=self.step,
+            seconds=self.seconds,
+            history=self.history,
+            current=flatten(self.network),
+            optimizer=self.optimizer.state_dict(),
+            options=self.options.plain,
+        )
+        checkpoint = Checkpoint(
+            architecture=self.options.architecture,
+            weights=flatten_tensors(self.average, layout(self.network)),
+            whitening=whitening,
+            schedule=self.schedule,
+            cells=self.options.cells,
+            training=self.report(),
+            state=state,
+        )
+        write_checkpoint(checkpoint, self.path)
 
     def report(self) -> dict[str, Any]:
         """What a manifest says of a training: data, seeds, steps, scores, time and place."""
         return {
             "commit": _commit(),
             "data": f"{self.options.strands} procedural strands of the eight types, mirrored",
-            **{k: v for k, v in _plain(self.options).items() if k not in ("architecture", "optimizer")},
+            **{k: v for k, v in self.options.plain.items() if k not in ("architecture", "optimizer")},
             "steps_done": self.step,
             "seconds": round(self.seconds),
             "device": torch.cuda.get_device_name() if self.on_gpu else "CPU",
@@ -298,37 +348,30 @@ class Training:
         }
 
     def _resume(self) -> Whitening | None:
-        if not self.path.is_file():
+        """Go on from a checkpoint that is there, and return its whitening."""
+        if not self.path.exists():
             return None
-        stored = torch.load(self.path, map_location="cpu", weights_only=True)
-        state = stored["state"]
-        mine, theirs = _plain(self.options), state["options"]
-        differing = sorted(name for name in mine if mine[name] != theirs.get(name))
+        stored = read_checkpoint(self.path)
+        state, options = begun(stored, self.path)
+        mine, theirs = self.options.plain, options.plain
+        differing = [name for name in mine if mine[name] != theirs[name]]
         if differing:
-            raise ModelError(
-                f"{self.path}: that training was begun with another {', '.join(differing)}; give the same options, "
-                "or another folder"
-            )
-        restore(self.network, state["current"])
-        slots_of = UNet(self.options.architecture)
-        restore(slots_of, stored["weights"])
-        self.average = {name: value.detach().clone().to(self.device) for name, value in slots_of.named_parameters()}
-        self.optimizer.load_state_dict(state["optimizer"])
-        self.step, self.seconds, self.history = state["step"], state["seconds"], list(state["history"])
+            names = ", ".join(name.replace("_", " ") for name in differing)
+            raise ModelError(f"{self.path}: begun with another {names}: give the same, or another folder")
+        restore(self.network, state.current)
+        averaged = stored.network().named_parameters()
+        self.average = {name: value.detach().clone().to(self.device) for name, value in averaged}
+        self.optimizer.load_state_dict(state.optimizer)
+        self.step, self.seconds, self.history = state.step, state.seconds, list(state.history)
         self.note(f"{self.path}: going on from step {self.step}")
-        return Whitening(**{name: tuple(value) for name, value in stored["whitening"].items()})
-
-
-def _plain(options: TrainingOptions) -> dict[str, Any]:
-    """The options as plain values that a checkpoint and a manifest can hold."""
-    plain = asdict(options)
-    plain["architecture"]["channels"] = list(plain["architecture"]["channels"])
-    return plain
+        return stored.whitening
 
 
 def _commit() -> str:
     """The commit this code is at, "" where it is not in a repository."""
-    run = subprocess.run(
-        ["git", "rev-parse", "HEAD"], cwd=Path(__file__).parent, capture_output=True, text=True, check=False
-    )
+    command = ["git", "rev-parse", "HEAD"]
+    try:
+        run = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
+    except OSError:  # no git
+        return ""
     return run.stdout.strip()

@@ -3,9 +3,6 @@
 ``denoiser.onnx`` takes any batch and any multiple of 16 cells. Its weights are one float16 vector of fixed place in the
 file, so that a runtime without torch or onnx reads them, or runs the graph with others in their stead.
 ``training_step.onnx`` carries no weights: they go in and come out. Both are checked against torch as they are written.
-
-Graphs are written node by node from what torch traced. An inference engine is fast on few and plain nodes, and the
-same network gives the same bytes.
 """
 
 from __future__ import annotations
@@ -14,9 +11,9 @@ import copy
 import dataclasses
 import hashlib
 import json
-import operator
 import os
-from collections.abc import Callable, Sequence
+from collections.abc import Callable
+from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
@@ -26,20 +23,19 @@ import onnxruntime
 import torch
 from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
-from torch import Tensor, fx
+from torch import Tensor
 from torch.func import functional_call
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from detangled.diffusion.schedule import CosineSchedule
-from detangled.diffusion.whitening import Whitening
-from detangled.errors import ModelError
+from detangled.errors import ModelError, WriteError
+from detangled_training.checkpoint import Checkpoint, make_folder
+from detangled_training.onnx_translation import Translator
 from detangled_training.parameters import (
     Optimizer,
     TrainingStep,
     flatten,
     flatten_tensors,
     layout,
-    load,
     restore,
     torch_optimizer,
     torch_step,
@@ -52,8 +48,7 @@ VERSION = 1
 OPSET = 20
 IR_VERSION = 10  # of opset 20's time: onnxruntime 1.20 reads it
 TOLERANCE = 1e-5  # between torch and onnxruntime
-CELLS = 256
-BATCH = 8
+BATCH = 8  # samples of a training step
 DENOISER_INPUTS = ("noisy", "log_snr", "position", "condition", "known")
 STEP_INPUTS = (
     "weights", "first_moment", "second_moment", "step", "learning_rate", "noisy", "clean", "log_snr", "position",
@@ -63,213 +58,8 @@ STEP_OUTPUTS = ("new_weights", "new_first_moment", "new_second_moment", "loss")
 
 Arrays = dict[str, NDArray[Any]]
 
-SAME = ("clone", "detach", "lift_fresh_copy", "alias", "detach_")
-RESHAPES = ("view", "_unsafe_view", "reshape", "unsqueeze", "squeeze")
-PLAIN = {
-    "sigmoid": "Sigmoid", "sin": "Sin", "cos": "Cos", "sqrt": "Sqrt", "reciprocal": "Reciprocal", "matmul": "MatMul",
-    "bmm": "MatMul", "mul": "Mul", "add": "Add", "sub": "Sub", "div": "Div", "pow": "Pow", "clamp_max": "Min",
-}  # fmt: skip
-ELEMENTS = {
-    torch.float16: TensorProto.FLOAT16,
-    torch.float32: TensorProto.FLOAT,
-    torch.float64: TensorProto.DOUBLE,
-    torch.int64: TensorProto.INT64,
-}
 
-
-class Translator:
-    """ONNX nodes of a graph of ATen operations; what depends on no input is computed here and kept as a constant."""
-
-    def __init__(self, traced: fx.GraphModule) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: dict[tuple[str, tuple[int, ...], bytes], onnx.TensorProto] = {}
-        self.names: dict[fx.Node, Any] = {}
-        self.known: dict[fx.Node, Any] = {}
-        self.traced = traced
-
-    def run(self, inputs: Sequence[str], outputs: Sequence[str]) -> None:
-        """Translate; inputs are named in the order of the traced function's arguments."""
-        graph = self.traced.graph
-        self.names.update(zip(graph.find_nodes(op="placeholder"), inputs, strict=True))
-        for node in graph.nodes:
-            if node.op == "get_attr":
-                self.known[node] = operator.attrgetter(str(node.target))(self.traced)
-            elif node.op == "call_function":
-                self._visit(node)
-        (made,) = next(node for node in graph.nodes if node.op == "output").args
-        for node, name in zip(made, outputs, strict=True):
-            self._emit("Identity", [self._of(node)], name)
-        self._drop_unused(outputs)
-
-    def _visit(self, node: fx.Node) -> None:
-        if node.target is operator.getitem and node.args[0] not in self.known:
-            self.names[node] = self.names[node.args[0]][node.args[1]]  # type: ignore[index]
-        elif "val" in node.meta and not isinstance(node.meta["val"], Tensor | tuple | list):
-            return  # a number of cells or strands; shapes are taken from what was traced
-        elif all(given in self.known for given in node.all_input_nodes):
-            arguments = fx.node.map_arg((node.args, node.kwargs), lambda given: self.known[given])
-            self.known[node] = node.target(*arguments[0], **arguments[1])  # type: ignore[operator]
-        elif _operation(node) == "ones_like":
-            self.known[node] = torch.ones(node.meta["val"].shape)
-        else:
-            self._translate(node, _operation(node), node.args)
-
-    def _translate(self, node: fx.Node, name: str, a: Any) -> None:
-        value = node.meta["val"]
-        if name in SAME or (name == "slice" and value.shape == a[0].meta["val"].shape):
-            self.names[node] = self._of(a[0])
-            return
-        made = self.names[node] = node.name
-        if name in RESHAPES:
-            self._emit("Reshape", [self._of(a[0]), self._shape(value, a[0].meta["val"])], made)
-        elif name in PLAIN and not node.kwargs:
-            self._emit(PLAIN[name], [self._of(x, value.dtype) for x in a[:2]], made)
-        elif name == "rsub":
-            self._emit("Sub", [self._of(x, value.dtype) for x in (a[1], a[0])], made)
-        elif name in ("mm", "addmm", "linear"):
-            self._product(made, name, a)
-        elif name in ("t", "transpose", "permute"):
-            self._emit("Transpose", [self._of(a[0])], made, perm=_order(name, a, value.dim()))
-        elif name == "expand":
-            self._emit("Expand", [self._of(a[0]), self._integers(value.shape)], made)
-        elif name in ("sum", "mean"):
-            axes = a[1] if len(a) > 1 else range(a[0].meta["val"].dim())
-            reduction = {"sum": "ReduceSum", "mean": "ReduceMean"}[name]
-            self._emit(reduction, [self._of(a[0]), self._integers(axes)], made, keepdims=int(len(a) > 2 and a[2]))
-        elif name == "cat":
-            self._emit("Concat", [self._of(x) for x in a[0]], made, axis=a[1] if len(a) > 1 else 0)
-        elif name == "stack":
-            axis = (a[1] if len(a) > 1 else 0) % value.dim()
-            for k, x in enumerate(a[0]):
-                self._emit("Unsqueeze", [self._of(x), self._integers([axis])], f"{made}.{k}")
-            self._emit("Concat", [f"{made}.{k}" for k in range(len(a[0]))], made, axis=axis)
-        elif name in ("split", "split_with_sizes", "chunk"):
-            axis = a[2] if len(a) > 2 else 0
-            parts = self.names[node] = [f"{made}.{k}" for k in range(len(value))]
-            sizes = self._integers([part.shape[axis] for part in value])
-            self.nodes.append(helper.make_node("Split", [self._of(a[0]), sizes], parts, name=made, axis=axis))
-        elif name == "slice":
-            bounds = [self._integers([number]) for number in (a[2], min(a[3], 2**62), a[1])]
-            self._emit("Slice", [self._of(a[0]), *bounds], made)
-        elif name == "select":
-            self._emit("Gather", [self._of(a[0]), self._constant(np.array(a[2], np.int64))], made, axis=a[1])
-        elif name == "index" and all(x is None for x in a[1][:-1]):
-            self._emit("Gather", [self._of(a[0]), self._of(a[1][-1])], made, axis=len(a[1]) - 1)
-        elif name == "constant_pad_nd":
-            sides = np.zeros((value.dim(), 2), np.int64)
-            sides[::-1][: len(a[1]) // 2] = np.reshape(a[1], (-1, 2))
-            self._emit("Pad", [self._of(a[0]), self._integers(sides.T.ravel())], made)
-        elif name in ("softmax", "_softmax"):
-            self._emit("Softmax", [self._of(a[0])], made, axis=a[1])
-        elif name == "_softmax_backward_data":
-            gradient, soft, axis = self._of(a[0]), self._of(a[1]), self._integers([a[2]])
-            self._emit("Mul", [gradient, soft], f"{made}.product")
-            self._emit("ReduceSum", [f"{made}.product", axis], f"{made}.sum", keepdims=1)
-            self._emit("Mul", [soft, f"{made}.sum"], f"{made}.mean")
-            self._emit("Sub", [f"{made}.product", f"{made}.mean"], made)
-        elif name == "silu":
-            self._emit("Sigmoid", [self._of(a[0])], f"{made}.part")
-            self._emit("Mul", [self._of(a[0]), f"{made}.part"], made)
-        elif name == "conv2d":
-            usual: list[Any] = [None, [1, 1], [0, 0]]  # bias, stride, padding: torch leaves them away
-            *given, stride, padding = [*list(a), *usual[len(a) - 2 :]]
-            names = [self._of(x) for x in given if x is not None]
-            self._emit("Conv", names, made, strides=stride, pads=[*padding, *padding])
-        elif name == "upsample_nearest2d":
-            scales = self._constant(np.array([1.0, 1.0, *a[2]], np.float32))
-            options = {"mode": "nearest", "nearest_mode": "floor", "coordinate_transformation_mode": "asymmetric"}
-            self._emit("Resize", [self._of(a[0]), "", scales], made, **options)
-        elif name == "group_norm":
-            self._normalization(made, node, a)
-        elif name in ("_to_copy", "to"):
-            self._emit("Cast", [self._of(a[0])], made, to=ELEMENTS[value.dtype])
-        else:
-            raise NotImplementedError(f"no translation of {node.format_node()}")
-
-    def _product(self, made: str, name: str, a: Any) -> None:
-        """A matrix product; a transposed factor is read as it lies."""
-        given = (*a[1:], a[0]) if name == "addmm" else a
-        turned = {"transA": 0, "transB": int(name == "linear")}
-        names = [self._of(x) for x in given]
-        for k, flag in enumerate(turned):
-            if given[k] not in self.known and _operation(given[k]) == "t":
-                names[k] = self._of(given[k].args[0])
-                turned[flag] ^= 1
-        self._emit("Gemm", names, made, **turned)
-
-    def _normalization(self, made: str, node: fx.Node, a: Any) -> None:
-        """Group normalisation as normalisation of instances: onnxruntime has a kernel of its own for that alone."""
-        groups, (weight, bias) = a[1], (*a[2:4], None, None)[:2]
-        one, zero = (self._constant(np.full(groups, number, np.float32)) for number in (1.0, 0.0))
-        grouped, plain = f"{made}.grouped", f"{made}.plain"
-        self._emit("Reshape", [self._of(a[0]), self._integers([0, groups, -1])], grouped)
-        epsilon = a[4] if len(a) > 4 else 1e-5
-        self._emit("InstanceNormalization", [grouped, one, zero], plain, epsilon=epsilon)
-        channels = node.meta["val"].shape[1]
-        back = made if weight is None else f"{made}.back"
-        self._emit("Reshape", [plain, self._integers([0, channels, 1, -1])], back)
-        if weight is not None:
-            for k, parameter in enumerate((weight, bias)):
-                self._emit("Reshape", [self._of(parameter), self._integers([channels, 1, 1])], f"{made}.{k}")
-            self._emit("Mul", [back, f"{made}.0"], f"{made}.scaled")
-            self._emit("Add", [f"{made}.scaled", f"{made}.1"], made)
-
-    def _of(self, x: Any, element: torch.dtype = torch.float32) -> str:
-        """The name of a value; a number becomes a constant of this type."""
-        if not isinstance(x, fx.Node):
-            return self._constant(torch.tensor(x, dtype=element).numpy())
-        if x in self.known:
-            return self._constant(self.known[x].detach().numpy())
-        return str(self.names[x])
-
-    def _constant(self, array: NDArray[Any]) -> str:
-        key = (array.dtype.str, array.shape, array.tobytes())
-        if key not in self.constants:
-            self.constants[key] = numpy_helper.from_array(array, f"constant.{len(self.constants)}")
-        return self.constants[key].name
-
-    def _integers(self, numbers: Any) -> str:
-        return self._constant(np.array([int(number) for number in numbers], np.int64))
-
-    def _shape(self, made: Tensor, given: Tensor) -> str:
-        """A shape to reshape to. A free axis is 0, as in what is given, where it stays in place; else it is -1."""
-        shape = []
-        for k, size in enumerate(made.shape):
-            if isinstance(size, int):
-                shape.append(size)
-            else:
-                shape.append(0 if k < given.dim() and str(given.shape[k]) == str(size) else -1)
-        return self._integers(shape)
-
-    def _emit(self, operator_name: str, inputs: list[str], output: str, **attributes: Any) -> None:
-        self.nodes.append(helper.make_node(operator_name, inputs, [output], name=output, **attributes))
-
-    def _drop_unused(self, outputs: Sequence[str]) -> None:
-        needed = set(outputs)
-        kept = []
-        for node in reversed(self.nodes):
-            if needed & set(node.output):
-                kept.append(node)
-                needed.update(node.input)
-        self.nodes = kept[::-1]
-        self.constants = {key: tensor for key, tensor in self.constants.items() if tensor.name in needed}
-
-
-def _operation(node: fx.Node) -> str:
-    """The name of an ATen operation without its overload."""
-    return str(node.target).removeprefix("aten.").split(".")[0]
-
-
-def _order(name: str, a: Any, axes: int) -> list[int]:
-    if name == "permute":
-        return [axis % axes for axis in a[1]]
-    order = list(range(axes))
-    first, second = (0, 1) if name == "t" else (a[1] % axes, a[2] % axes)
-    order[first], order[second] = order[second], order[first]
-    return order
-
-
-def denoiser_graph(network: UNet, cells: int = CELLS) -> bytes:
+def denoiser_graph(network: UNet, cells: int) -> bytes:
     """The denoiser with its weights as the float16 initializer ``weights``."""
     slots = layout(network)
 
@@ -296,7 +86,7 @@ def denoiser_graph(network: UNet, cells: int = CELLS) -> bytes:
     return _serialized("denoiser", translator, shapes, {"clean": signal}, [tensor])
 
 
-def training_step_graph(network: UNet, optimizer: Optimizer, batch: int = BATCH, cells: int = CELLS) -> bytes:
+def training_step_graph(network: UNet, optimizer: Optimizer, batch: int, cells: int) -> bytes:
     """A step of training a network of these sizes."""
     step = TrainingStep(network.sizes, optimizer)
     given = random_step(network, batch, cells)
@@ -352,58 +142,60 @@ def random_step(network: UNet, batch: int, cells: int, seed: int = 0) -> Arrays:
     return dict(zip(STEP_INPUTS, arrays, strict=True))
 
 
+@dataclass(frozen=True)
+class Exported:
+    """A model that was written, with its manifest, and the largest difference between onnxruntime and torch on it."""
+
+    path: Path
+    difference: float
+
+    @property
+    def manifest(self) -> Path:
+        return self.path.with_suffix(".json")
+
+
 def export(
-    model: UNet | Path,
-    whitening: Whitening,
-    schedule: CosineSchedule,
-    folder: Path,
-    training_info: dict[str, Any],
-    cells: int = CELLS,
-    batch: int = BATCH,
-    optimizer: Optimizer | None = None,
-) -> None:
+    checkpoint: Checkpoint, folder: Path, batch: int = BATCH, optimizer: Optimizer | None = None
+) -> tuple[Exported, Exported]:
     """Write denoiser.onnx, training_step.onnx and a .json beside each into a folder.
 
-    model: a network, or a checkpoint of one. cells: of the signals it was trained on; those of a training step, too.
-    batch: samples of a training step. training_info: whatever says how the model came about.
+    batch: samples of a training step, each of as many cells as the network was trained on.
     Raises ModelError where onnxruntime and torch differ by more than 1e-5, and does not write that model then.
     """
-    network = load(model) if isinstance(model, Path) else model
+    make_folder(folder)
+    network, cells = checkpoint.network(), checkpoint.cells
     optimizer = optimizer or Optimizer()
     # What is shipped are weights of float16: the network that is checked has just those.
-    shipped = UNet(network.sizes)
-    weights = flatten(network).half()
-    restore(shipped, weights.float())
+    weights = checkpoint.weights.half()
+    restore(network, weights.float())
     about: dict[str, Any] = {
         "format": FORMAT,
         "version": VERSION,
         "architecture": dataclasses.asdict(network.sizes),
         "parameters": len(weights),
-        "whitening": dataclasses.asdict(whitening),
-        "schedule": dataclasses.asdict(schedule),
+        "whitening": dataclasses.asdict(checkpoint.whitening),
+        "schedule": dataclasses.asdict(checkpoint.schedule),
         "cells": cells,
         "opset": OPSET,
-        "training": training_info,
+        "training": checkpoint.training,
     }
-    folder.mkdir(parents=True, exist_ok=True)
 
-    data = denoiser_graph(shipped, cells)
+    data = denoiser_graph(network, cells)
     offset = data.index(weights.numpy().tobytes())
-    stored = {"element": "float16", "offset": offset}
-    _write(folder / "denoiser.onnx", data, about | {"kind": "denoiser", "weights": stored}, _check_denoiser, shipped)
+    manifest = about | {"kind": "denoiser", "weights": {"element": "float16", "offset": offset}}
+    denoiser = _write(folder / "denoiser.onnx", data, manifest, lambda path: _check_denoiser(path, network))
 
-    data = training_step_graph(shipped, optimizer, batch, cells)
+    data = training_step_graph(network, optimizer, batch, cells)
     constants = {"batch": batch, "optimizer": {"name": "AdamW", **dataclasses.asdict(optimizer)}}
+    manifest = about | {"kind": "training step"} | constants
 
-    def check(path: Path, network: UNet) -> None:
-        _check_training_step(path, network, optimizer, batch, cells)
+    def check(path: Path) -> float:
+        return _check_training_step(path, network, optimizer, batch, cells)
 
-    _write(folder / "training_step.onnx", data, about | {"kind": "training step"} | constants, check, shipped)
+    return denoiser, _write(folder / "training_step.onnx", data, manifest, check)
 
 
-def _write(
-    path: Path, data: bytes, manifest: dict[str, Any], check: Callable[[Path, UNet], None], network: UNet
-) -> None:
+def _write(path: Path, data: bytes, manifest: dict[str, Any], check: Callable[[Path], float]) -> Exported:
     """Write a model and its manifest, both whole or not at all."""
     manifest = {**manifest, "sha256": hashlib.sha256(data).hexdigest()}
     text = json.dumps(manifest, indent=2) + "\n"
@@ -413,27 +205,32 @@ def _write(
     ]
     try:
         new[0][0].write_bytes(data)
-        check(new[0][0], network)
+        difference = check(new[0][0])
         new[1][0].write_text(text, encoding="utf-8")
         for made, place in new:
             os.replace(made, place)
+    except OSError as error:
+        raise WriteError(f"{path}: cannot be written ({error.strerror or error})") from error
     finally:
         for made, _ in new:
             made.unlink(missing_ok=True)
+    return Exported(path, difference)
 
 
-def _check_denoiser(path: Path, network: UNet) -> None:
+def _check_denoiser(path: Path, network: UNet) -> float:
     session = _session(path)
     least = network.sizes.multiple
+    differences = []
     for batch, cells in ((1, least), (3, 4 * least), (2, 9 * least)):
         given = random_inputs(batch, cells, seed=cells)
         (found,) = session.run(None, given)
         with torch.no_grad():
             wanted = network(*(torch.from_numpy(array) for array in given.values())).numpy()
-        _compare("clean", found, wanted)
+        differences.append(_difference("clean", found, wanted))
+    return max(differences)
 
 
-def _check_training_step(path: Path, network: UNet, optimizer: Optimizer, batch: int, cells: int) -> None:
+def _check_training_step(path: Path, network: UNet, optimizer: Optimizer, batch: int, cells: int) -> float:
     # In the middle of a training: a first step divides each gradient by its own size, be it a rounding error.
     given = random_step(network, batch, cells, seed=1)
     rng = np.random.default_rng(2)
@@ -450,17 +247,22 @@ def _check_training_step(path: Path, network: UNet, optimizer: Optimizer, batch:
     for name, parameter in trained.named_parameters():
         own.state[parameter] = {"step": torch.tensor(4.0), "exp_avg": first[name], "exp_avg_sq": second[name]}
     loss = torch_step(trained, own, optimizer.clip, *(torch.from_numpy(given[name]) for name in STEP_INPUTS[5:]))
-    _compare("loss", found["loss"], np.array(loss))
-    _compare("new_weights", found["new_weights"], flatten(trained).numpy())
+    differences = [
+        _difference("loss", found["loss"], np.array(loss)),
+        _difference("new_weights", found["new_weights"], flatten(trained).numpy()),
+    ]
     for name, key in (("new_first_moment", "exp_avg"), ("new_second_moment", "exp_avg_sq")):
         wanted = {parameter: own.state[value][key] for parameter, value in trained.named_parameters()}
-        _compare(name, found[name], flatten_tensors(wanted, slots).numpy())
+        differences.append(_difference(name, found[name], flatten_tensors(wanted, slots).numpy()))
+    return max(differences)
 
 
-def _compare(name: str, found: NDArray[Any], wanted: NDArray[Any]) -> None:
+def _difference(name: str, found: NDArray[Any], wanted: NDArray[Any]) -> float:
+    """The largest difference. Raises ModelError where it is more than the tolerance."""
     difference = float(np.max(np.abs(found - wanted)))
     if not difference <= TOLERANCE:
         raise ModelError(f"{name} by onnxruntime and by torch differ by {difference:.2g}, more than {TOLERANCE:.0e}")
+    return difference
 
 
 def _session(path: Path) -> onnxruntime.InferenceSession:

@@ -11,14 +11,14 @@ from __future__ import annotations
 
 import math
 from collections.abc import Iterable, Mapping, Sequence
-from dataclasses import asdict, dataclass
-from pathlib import Path
+from dataclasses import dataclass
 
 import torch
 from torch import Tensor
 from torch.func import functional_call
 
-from detangled_training.unet import CONDITIONS, MATRICES, Architecture, UNet
+from detangled_training.layers import MATRICES
+from detangled_training.unet import CONDITIONS, Architecture, UNet
 
 
 @dataclass(frozen=True)
@@ -183,20 +183,6 @@ def torch_step(
     torch.nn.utils.clip_grad_norm_(network.parameters(), clip)
     optimizer.step()
     return float(loss.detach())
-
-
-def save(network: UNet, path: Path) -> None:
-    """Write a checkpoint: the sizes and the vector."""
-    torch.save({"architecture": asdict(network.sizes), "weights": flatten(network)}, path)
-
-
-def load(path: Path) -> UNet:
-    """Read a checkpoint written by ``save``."""
-    stored = torch.load(path, weights_only=True)
-    sizes = stored["architecture"]
-    network = UNet(Architecture(**{**sizes, "channels": tuple(sizes["channels"])}))
-    restore(network, stored["weights"])
-    return network
 
 
 def _reversed(tensor: Tensor) -> Tensor:

@@ -68,12 +68,15 @@ def fine_tune(
     threads: int = 1,
     progress: StepProgress | None = None,
 ) -> FineTuned:
-    """Train a network on the signals of strands, each (3, cells) and whitened as told, from ``start`` (P,) on.
+    """Train a network on the signals of strands, each (3, n) and whitened as told, from ``start`` (P,) on.
 
-    The same seed gives the same weights, whatever the number of threads.
+    No strand may have fewer cells than the network's window.
+
+    The same seed gives the same weights, whatever the number of threads. Raises TextureError where the training
+    diverges.
     """
-    if not strands:
-        raise TextureError("there are no strands to learn from")
+    if min((strand.shape[1] for strand in strands), default=0) < step_model.cells:
+        raise TextureError(f"each strand to learn from must have {step_model.cells} cells or more")
     options = options or FineTuning()
     trainer = _Trainer(step_model, start, options, min(threads, MOST_THREADS))
     shown, held_out = _split(strands, options.seed)
@@ -102,7 +105,11 @@ def fine_tune(
             waited += 1
             if waited >= options.patience:
                 break
-    return FineTuned(best.astype(np.float16), best_step, curve)
+    with np.errstate(over="ignore"):
+        weights = best.astype(np.float16)
+    if best_step < min(most, 1) or not np.isfinite(weights).all():
+        raise TextureError("the network's training on these strands diverged: try another seed, or fit them by patches")
+    return FineTuned(weights, best_step, curve)
 
 
 class _Trainer:
@@ -158,14 +165,9 @@ def draw_windows(
     position = np.empty((size, cells))
     for k, index in enumerate(chosen):
         strand = strands[index]
-        spare = strand.shape[1] - cells
-        if spare <= 0:
-            clean[k] = stretched(strand, cells)
-            position[k] = (np.arange(cells) + 0.5) / cells
-        else:
-            first = int(rng.integers(spare + 1))
-            clean[k] = strand[:, first : first + cells]
-            position[k] = (first + np.arange(cells) + 0.5) / strand.shape[1]
+        first = int(rng.integers(strand.shape[1] - cells + 1))
+        clean[k] = strand[:, first : first + cells]
+        position[k] = (first + np.arange(cells) + 0.5) / strand.shape[1]
     if mirror is not None:
         turned = rng.uniform(size=size) < 0.5
         clean[turned] = mirror.mirrored(clean[turned])
@@ -182,13 +184,6 @@ def draw_windows(
     return {name: np.ascontiguousarray(array, dtype=np.float32) for name, array in arrays.items()}
 
 
-def stretched(strand: NDArray[np.float64], cells: int) -> NDArray[np.float64]:
-    """A whitened signal (3, n) on more cells, (3, cells), between which it is linear."""
-    old = (np.arange(strand.shape[1]) + 0.5) / strand.shape[1]
-    new = (np.arange(cells) + 0.5) / cells
-    return np.stack([np.interp(new, old, channel) for channel in strand])
-
-
 def _split(
     strands: list[NDArray[np.float64]], seed: int
 ) -> tuple[list[NDArray[np.float64]], list[NDArray[np.float64]]]:
@@ -201,7 +196,11 @@ def _split(
 
 
 def curl_both_ways(strands: list[NDArray[np.float64]], whitening: Whitening) -> bool:
-    """Whether strands of both hands are among these: the sign of the median torsion along a strand."""
+    """Whether strands of both hands are among these: the sign of the median torsion along a strand.
+
+    A straight strand is of neither.
+    """
     straight = -whitening.mean[1] / whitening.deviation[1]
-    right = np.mean([np.median(strand[1]) > straight for strand in strands])
-    return bool(min(right, 1.0 - right) >= MIRRORED_FROM)
+    hands = np.sign([np.median(strand[1]) - straight for strand in strands])
+    right, left = np.sum(hands > 0), np.sum(hands < 0)
+    return bool(min(right, left) > 0 and min(right, left) >= MIRRORED_FROM * (right + left))

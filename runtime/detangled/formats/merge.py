@@ -9,7 +9,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.formats import objects
-from detangled.groom import Attribute, Groom, Scope
+from detangled.groom import Attribute, Groom, Scope, offsets_of
 
 _FINENESS = (Scope.GROOM, Scope.STRAND, Scope.POINT)
 
@@ -49,7 +49,7 @@ def merged(parts: list[Part], up: str, notes: tuple[str, ...] = ()) -> Groom:
     counts = np.concatenate([part.counts for part in parts])
     groom = Groom(
         parts[0].points if len(parts) == 1 else np.concatenate([part.points for part in parts]),
-        np.concatenate([[0], np.cumsum(counts)]),
+        offsets_of(counts),
         attributes=attributes,
         up=up,
         objects=names,

@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from detangled.archives import DAMAGE, read_arrays, write_arrays
 from detangled.errors import DetangledError, ReadError
 from detangled.formats import register
-from detangled.groom import Attribute, Groom, Scope
+from detangled.groom import Attribute, Groom, Scope, offsets_of
 
 COUNTS, POINTS, UNIT, UP, OBJECTS = "cnt", "data", "unit_cm", "up", "objects"
 ATTRIBUTE_PREFIX = "attr:"
@@ -88,7 +88,7 @@ def _from_counts(path: Path, arrays: dict[str, NDArray[Any]]) -> Groom:
             if scope not in {s.value for s in Scope} or not name:
                 raise ReadError(f"{path}: array {key!r} names no scope (groom, strand or point) and attribute")
             attributes[name] = Attribute(values, Scope(scope))
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    offsets = offsets_of(counts)
     try:
         return Groom(points, offsets, attributes=attributes, notes=tuple(sorted(notes)), **fields)
     except DetangledError as error:

@@ -16,7 +16,7 @@ from numpy.typing import NDArray
 
 from detangled.errors import ReadError
 from detangled.formats import objects, register
-from detangled.groom import Groom
+from detangled.groom import Groom, offsets_of
 
 # Stands for a line break that a backslash undoes: blank like a space, yet counted in line numbers.
 JOINED = 1
@@ -92,7 +92,7 @@ def read(path: Path) -> Groom:
     names, owner = _objects(lines, elements)
     faces = len(lines.of("f"))
     notes = (f"skipped {faces} face{'s' if faces > 1 else ''}",) if faces else ()
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    offsets = offsets_of(counts)
     return objects.with_owners(Groom(positions[rows], offsets, objects=names, notes=notes), owner)
 
 

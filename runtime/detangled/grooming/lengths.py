@@ -17,7 +17,7 @@ from numpy.typing import NDArray
 from detangled.geometry.arc import arc_positions
 from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import curve_counts, curves
-from detangled.groom import Groom
+from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import to_canonical
 from detangled.grooming.placing import cut, place
 
@@ -101,7 +101,7 @@ def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], se
         todo = todo[~ready]
         if len(todo) == 0:
             break
-    return Seated(np.concatenate(done), np.concatenate([[0], np.cumsum([len(d) for d in done])]), reached)
+    return Seated(np.concatenate(done), offsets_of([len(d) for d in done]), reached)
 
 
 def _built(
@@ -109,7 +109,7 @@ def _built(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
     """Strands of signals on the chosen seats, cut at their goals, their offsets, and the lengths they had uncut."""
     seats = seats.select(chosen)
-    offsets = np.concatenate([[0], np.cumsum(curve_counts(values, starts))])
+    offsets = offsets_of(curve_counts(values, starts))
     points = curves(values, starts, offsets)
     axes, _ = centerlines(points, offsets, STYLELESS_TURNS)
     canonical = to_canonical(points, _straightened(axes, offsets, seats.short), offsets)
@@ -152,7 +152,7 @@ def _without_roots(
     # Two points are left of any strand.
     kept[offsets[1:] - 1] = True
     kept[offsets[1:] - 2] = True
-    return canonical[kept], np.concatenate([[0], np.cumsum(np.add.reduceat(kept.astype(np.int64), offsets[:-1]))])
+    return canonical[kept], offsets_of(np.add.reduceat(kept.astype(np.int64), offsets[:-1]))
 
 
 def _angles(starts: NDArray[np.float64], roots: NDArray[np.float64], turns: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -168,6 +168,6 @@ def _rows(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """The signals of the chosen strands, one after another, and where each starts."""
     counts = np.diff(starts)[chosen]
-    new = np.concatenate([[0], np.cumsum(counts)])
+    new = offsets_of(counts)
     rows = np.arange(new[-1]) - np.repeat(new[:-1] - starts[chosen], counts)
     return values[rows], new

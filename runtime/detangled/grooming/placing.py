@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from detangled.geometry.arc import arc_length, resample_strand
 from detangled.geometry.canonical import guide_frames
 from detangled.geometry.spline import chord_lengths, distinct_points, spline_sample, spline_slopes
+from detangled.groom import offsets_of
 from detangled.kernels import kernel, parallel_kernel, prange
 
 GUIDE_SAMPLES_PER_SEGMENT = 8
@@ -172,4 +173,4 @@ def cut(
     new = points.copy()
     new[end] = points[end - 1] + part[:, None] * (points[end] - points[end - 1])
     rows = np.flatnonzero(np.arange(len(points)) <= last[strand])
-    return new[rows], np.concatenate([[0], np.cumsum(last - offsets[:-1] + 1)])
+    return new[rows], offsets_of(last - offsets[:-1] + 1)

@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.groom import Groom
+from detangled.groom import Groom, offsets_of
 from detangled.kernels import kernel
 from detangled.view.camera import Camera
 from detangled.view.threads import spread
@@ -43,7 +43,7 @@ def drawable(groom: Groom, rotation: NDArray[np.float64]) -> Curves:
     box = np.array([[np.inf] * 3, [-np.inf] * 3])
     total = _turn(groom.points, groom.offsets, np.ascontiguousarray(rotation), FARTHEST_CM, points, counts, box)
     ids = np.flatnonzero(counts)
-    offsets = np.concatenate([[0], np.cumsum(counts[ids])]).astype(np.int64)
+    offsets = offsets_of(counts[ids])
     return Curves(points[:total], offsets, ids.astype(np.int64), box[0], box[1])
 
 

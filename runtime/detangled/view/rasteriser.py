@@ -9,6 +9,7 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.groom import offsets_of
 from detangled.kernels import kernel
 from detangled.view.camera import Camera
 from detangled.view.curves import Curves, lens, trace
@@ -39,7 +40,7 @@ def draw(curves: Curves, camera: Camera, light: LightGrid, width: float, look: L
     bands = -(-camera.height // BAND_ROWS)
     counts = np.zeros(bands, dtype=np.int64)
     _bin(vertices, strands, view, half, False, counts, np.empty(0, dtype=np.int32))
-    ends = np.concatenate([[0], np.cumsum(counts)]).astype(np.int64)
+    ends = offsets_of(counts)
     segments = np.empty(ends[-1], dtype=np.int32)
     _bin(vertices, strands, view, half, True, ends[:-1].copy(), segments)
 

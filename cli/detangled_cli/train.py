@@ -1,0 +1,183 @@
+"""detangled train: train the denoiser with torch, and export it as the models that run without."""
+
+from __future__ import annotations
+
+import os
+from dataclasses import replace
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from detangled.errors import WriteError
+from detangled_cli.console import announce_first_run, hush, note, progress_bar, quiet_option, threads_option
+
+if TYPE_CHECKING:
+    from detangled_training.denoiser_training import Training, TrainingOptions
+
+INTERRUPTED = 130
+WRONG_USAGE = 2
+NUMBER = click.IntRange(min=1)
+
+
+class ExtraMissing(click.ClickException):
+    """What training stands on is not installed."""
+
+    exit_code = WRONG_USAGE
+
+
+class Stopped(click.ClickException):
+    """A training was interrupted that can be gone on with."""
+
+    exit_code = INTERRUPTED
+
+
+@click.group(invoke_without_command=True, subcommand_metavar="COMMAND [ARGS]...")
+@click.pass_context
+def command(ctx: click.Context) -> None:
+    """Train and export models (needs the extra: detangled[train]).
+
+    \b
+    Example:
+      pip install 'detangled[train]'
+      detangled train denoiser training
+      detangled train export training/checkpoint.pt models
+    """
+    if ctx.invoked_subcommand is None:
+        click.echo(ctx.get_help(), err=True)
+        ctx.exit(WRONG_USAGE)
+
+
+@command.command()
+@click.argument("folder", metavar="OUT_FOLDER", type=click.Path(path_type=Path))
+@click.option("--strands", type=NUMBER, metavar="N", help="Procedural strands to train on. Default: 20000.")
+@click.option("--steps", type=NUMBER, metavar="N", help="Steps of training. Default: 2000.")
+@click.option("--batch", type=NUMBER, metavar="N", help="Strands of a step, shared by all processes. Default: 32.")
+@click.option(
+    "--learning-rate",
+    type=click.FloatRange(min=0.0, min_open=True),
+    metavar="X",
+    help="The highest: it rises at first, then falls. Default: 0.0004.",
+)
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Of the strands and the training. Default: 0.")
+@click.option("--resume", is_flag=True, help="Go on with the training in OUT_FOLDER, if there is one, by its options.")
+@threads_option
+@quiet_option
+def denoiser(
+    folder: Path,
+    strands: int | None,
+    steps: int | None,
+    batch: int | None,
+    learning_rate: float | None,
+    seed: int | None,
+    resume: bool,
+    threads: int | None,
+) -> None:
+    """Train the denoiser on procedural strands.
+
+    OUT_FOLDER/checkpoint.pt is written again and again on the way: --resume goes on from there. A GPU is used where
+    there is one; with several, start it by torchrun.
+
+    \b
+    Example:
+      detangled train denoiser training --steps 20000
+      detangled train denoiser training --resume
+      torchrun --nproc-per-node 2 -m detangled_cli.main train denoiser training
+    """
+    _use(threads)
+    from detangled_training.denoiser_training import Training
+
+    if os.environ.get("RANK", "0") != "0":
+        hush()
+    asked = {"strands": strands, "steps": steps, "batch": batch, "learning_rate": learning_rate, "seed": seed}
+    given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
+    training = Training(replace(_options(folder, resume), **given), folder, note)
+    try:
+        _train(training)
+    except KeyboardInterrupt:
+        if not training.path.exists():
+            raise
+        raise Stopped(f"interrupted; --resume goes on from what {training.path} holds") from None
+    finally:
+        training.close()
+
+
+@command.command()
+@click.argument("source", metavar="CHECKPOINT", type=click.Path(path_type=Path))
+@click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
+@threads_option
+@quiet_option
+def export(source: Path, folder: Path, threads: int | None) -> None:
+    """Write a trained denoiser as models that run without torch.
+
+    In DIR these are denoiser.onnx, training_step.onnx and a .json beside each. Both are run beside torch, and not
+    written where they differ from it. The environment variable DETANGLED_MODELS names a folder of models to use.
+
+    \b
+    Example:
+      detangled train export training/checkpoint.pt models
+    """
+    _use(threads)
+    from detangled_training import onnx_export
+    from detangled_training.checkpoint import read_checkpoint
+
+    checkpoint = read_checkpoint(source)
+    note(f"{source}: {len(checkpoint.weights):,} parameters; exporting takes a while")
+    for model in onnx_export.export(checkpoint, folder):
+        note(f"{model.path}: {_size(model.path)}; onnxruntime and torch differ by {model.difference:.1g} at most")
+        note(f"{model.manifest}: {_size(model.manifest)}")
+
+
+def _use(threads: int | None) -> None:
+    """Load what training stands on, and have it use so many threads."""
+    try:
+        import onnx  # noqa: F401
+        import torch
+    except ModuleNotFoundError as error:
+        if error.name not in ("onnx", "torch"):
+            raise
+        raise ExtraMissing("training needs torch and onnx: pip install 'detangled[train]'") from error
+    from detangled.kernels import set_threads
+
+    set_threads(threads)
+    if threads is not None:
+        torch.set_num_threads(threads)
+
+
+def _options(folder: Path, resume: bool) -> TrainingOptions:
+    """Those of the training in a folder where it is gone on with, else those of a new one."""
+    from detangled_training.checkpoint import CHECKPOINT, read_checkpoint
+    from detangled_training.denoiser_training import TrainingOptions, begun
+
+    path = folder / CHECKPOINT
+    if not path.exists():
+        if resume:
+            note(f"{path}: not there yet: a new training")
+        return TrainingOptions()
+    if not resume:
+        raise WriteError(f"{path}: a training is there already: go on with it by --resume, or name another folder")
+    return begun(read_checkpoint(path), path)[1]
+
+
+def _train(training: Training) -> None:
+    steps = training.options.steps
+    if training.step >= steps:
+        note(f"{training.path}: trained to its last step already")
+        return
+    announce_first_run("winding.winding")
+    with progress_bar("strands", training.options.strands) as bar:
+        data = training.prepare(bar.update)
+    with progress_bar("training steps", steps) as bar:
+        bar.initial = bar.n = training.step
+
+        def show(step: int, loss: float) -> None:
+            bar.set_postfix_str(f"loss {loss:.3f}", refresh=False)
+            bar.update(step - bar.n)
+
+        training.run(data, show)
+    note(f"{training.path}: trained by {steps:,} steps in {training.seconds:.0f} s")
+
+
+def _size(path: Path) -> str:
+    size = path.stat().st_size
+    return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"
