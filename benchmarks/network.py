@@ -13,6 +13,7 @@ from __future__ import annotations
 import argparse
 import json
 import os
+import sys
 import tempfile
 import time
 from collections.abc import Callable
@@ -124,7 +125,7 @@ def time_training(folder: Path, network: UNet, cells: int, rounds: int, threads:
     return ratio
 
 
-def main(arguments: list[str] | None = None) -> None:
+def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
     parser.add_argument("--strands", type=int, default=256)
     parser.add_argument("--cells", type=int, default=256)
@@ -151,7 +152,8 @@ def main(arguments: list[str] | None = None) -> None:
         training = time_training(folder, network, options.cells, options.rounds, options.threads)
     print(f"sampling ratio {sampling:.2f} (bound: at most {LARGEST_SAMPLING_RATIO:.1f})")
     print(f"training ratio {training:.2f} (bound: at most {LARGEST_TRAINING_RATIO:.1f})")
+    return int(sampling > LARGEST_SAMPLING_RATIO or training > LARGEST_TRAINING_RATIO)
 
 
 if __name__ == "__main__":
-    main()
+    sys.exit(main())

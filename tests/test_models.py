@@ -61,6 +61,7 @@ from tiny_models import (
 from tiny_models import BATCH as STEP_BATCH
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
+SHIPPED = Path(__file__).resolve().parents[1] / "exported_models" / "detangled_models"
 COILY = EXAMPLES / "coily_strands.obj"
 BOB_STRANDS = [3, 77, 151, 225]
 LENGTH_ACCURACY = 1e-3
@@ -889,3 +890,18 @@ def test_all_of_it_runs_where_torch_cannot_be_imported(
     assert done.returncode == 0, done.stderr
     np.testing.assert_array_equal(load_texture(tmp_path / "a.texture").weights, texture.weights)
     np.testing.assert_array_equal(roots(read(made)), roots(read(few)))
+
+
+def test_the_shipped_network_is_fitted_and_drawn_alike_whatever_the_threads() -> None:
+    denoiser, step = load_model(DENOISER, SHIPPED), load_model(TRAINING_STEP, SHIPPED)
+    assert same_network(denoiser, step)
+    rng = np.random.default_rng(4)
+    strands = [rng.standard_normal((3, denoiser.cells + 40)) for _ in range(2)]
+    options = FineTuning(few_steps=3)
+    one, two = (fine_tune(strands, denoiser.whitening, step, denoiser.weights, options, n) for n in (1, 2))
+    assert one.weights.tobytes() == two.weights.tobytes()
+    assert one.weights.tobytes() != denoiser.weights.tobytes()
+    noisy = rng.standard_normal((9, 3, 2 * denoiser.cells))
+    together = NetworkDenoiser(denoiser, one.weights, 2)(noisy, 0.6, 0.8)
+    alone = NetworkDenoiser(denoiser, one.weights, 1)(noisy[8:], 0.6, 0.8)
+    assert together[8:].tobytes() == alone.tobytes()

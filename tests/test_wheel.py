@@ -113,7 +113,7 @@ def test_it_does_the_main_job(programs: Path, elsewhere: Path) -> None:
 def test_the_network_learns_and_draws_without_torch(programs: Path, elsewhere: Path) -> None:
     _, coily = INPUTS
     detangled, cache = programs / "detangled", str(elsewhere / "cache")
-    words = ("fit", coily, "coily.texture", "--method", "finetune", "--steps", 3)
+    words = ("fit", coily, "coily.texture", "--method", "finetune", "--training-steps", 3)
     fitted = run(detangled, *words, cwd=elsewhere, NUMBA_CACHE_DIR=cache)
     assert fitted.returncode == 0, fitted.stderr
     words = ("retexture", coily, "out.obj", "--target", "coily.texture", "--steps", 4)

@@ -32,7 +32,7 @@ def method_option(command: Command) -> Command:
 
 
 def fitted_texture(
-    target: Path, unit: str | None, method: str | None, seed: int = 0, steps: int | None = None
+    target: Path, unit: str | None, method: str | None, seed: int = 0, training_steps: int | None = None
 ) -> FittedTexture:
     """Load a .texture, or fit one to the strands of a groom file; say what it is like."""
     from detangled.fitted import SUFFIX, load_texture
@@ -53,12 +53,12 @@ def fitted_texture(
         unusable = strands.strand_count - int(usable_strands(strands).sum())
         if unusable:
             warn(f"{target}: {unusable} of {strands.strand_count} strands cannot be used and are left out")
-        texture = _fit(strands, method or DEFAULT_METHOD, seed, steps)
+        texture = _fit(strands, method or DEFAULT_METHOD, seed, training_steps)
     note(f"{target}: {describe(texture)}")
     return texture
 
 
-def _fit(strands: Groom, method: str, seed: int, steps: int | None) -> FittedTexture:
+def _fit(strands: Groom, method: str, seed: int, training_steps: int | None) -> FittedTexture:
     """Fit, with a bar that shows the loss where a network is trained."""
     from detangled.fitting import fit
 
@@ -69,14 +69,16 @@ def _fit(strands: Groom, method: str, seed: int, steps: int | None) -> FittedTex
             bar.set_postfix_str(f"loss {loss:.3f}", refresh=False)
             bar.update(1)
 
-        return fit(strands, method, _fine_tuning(seed, steps), show)
+        return fit(strands, method, _fine_tuning(seed, training_steps), show)
 
 
-def _fine_tuning(seed: int, steps: int | None) -> FineTuning:
+def _fine_tuning(seed: int, training_steps: int | None) -> FineTuning:
     from detangled.diffusion.finetune import FineTuning
 
     usual = FineTuning(seed=seed)
-    return usual if steps is None else replace(usual, most_steps=steps, few_steps=min(steps, usual.few_steps))
+    if training_steps is None:
+        return usual
+    return replace(usual, most_steps=training_steps, few_steps=training_steps)
 
 
 def describe(texture: FittedTexture) -> str:

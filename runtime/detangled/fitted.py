@@ -22,7 +22,7 @@ from detangled.formats import replacing
 
 SUFFIX = ".texture"
 FORMAT = "detangled texture"
-VERSION = 1
+VERSION = 2
 PATCHES, FINETUNE = "patches", "finetune"
 METHODS = (PATCHES, FINETUNE)
 

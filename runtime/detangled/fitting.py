@@ -25,7 +25,7 @@ from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
 
-POINTS_PER_TURN = 16  # of a new strand: with 12 the spread of its curvature is a percent narrower
+POINTS_PER_TURN = 16  # of a new strand, and of targets before they are measured
 COARSE_CELLS = 512  # of a strand whose turns are only to be counted
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
@@ -41,7 +41,7 @@ class Grid:
 
 
 PATCH_GRID = Grid(22.0, 512, 64, 8)  # narrow cells cost little there, and keep curvature's spread
-NETWORK_GRID = Grid(16.0, 512, 256, 256)  # a window of the network then holds 16 turns
+NETWORK_CELLS_PER_TURN, NETWORK_MOST_CELLS = 16.0, 512  # a window of 256 cells then holds 16 turns of coily hair
 
 
 def fit(
@@ -65,7 +65,8 @@ def fit(
         raise ModelError(f"{denoiser.path} and {step.path} are of different networks: export both anew")
     # At least as many cells as the network looks at. The whitening is the strands' own: in that of all hair, what tells
     # one strand of a texture from another would be too small for the network to learn.
-    texture = measured(groom, replace(NETWORK_GRID, fewest_cells=denoiser.cells, shortest=denoiser.cells))
+    grid = Grid(NETWORK_CELLS_PER_TURN, max(NETWORK_MOST_CELLS, denoiser.cells), denoiser.cells, denoiser.cells)
+    texture = measured(groom, grid)
     strands = [texture.whitening.whiten(texture.signals[a:b]) for a, b in pairwise(texture.starts)]
     tuned = fine_tune(strands, texture.whitening, step, denoiser.weights, fine_tuning, thread_count(), progress)
     return replace(texture, method=FINETUNE, weights=tuned.weights, architecture=denoiser.architecture)

@@ -26,7 +26,6 @@ from detangled.models import DENOISER, load_model
 BATCH = 128  # strands denoised at once: some megabytes
 CELL_MULTIPLE = 16  # strands of nearly one length share a grid, and so a batch
 OFFERED = 12  # examples offered to each stretch of a strand
-FEWEST_STRETCHES = 1
 WIDEST_SHARE = 0.8  # of a stretch: the half-width of its widest patches
 # The axis of a signal that is mostly noise means nothing.
 STEER_BELOW = 1.0  # sigma / alpha
@@ -96,7 +95,7 @@ def _sample_batch(
         channels = sample(denoise, noise, CosineSchedule(), steps, _guide(texture, cells, arcs))
         values = texture.whitening.restore(channels)
         values[:, :, 2] *= (arcs / values[:, :, 2].mean(axis=1))[:, None]
-    if not np.isfinite(values).all():
+    if network is not None and not np.isfinite(values).all():
         raise ModelError("the texture's network predicts no finite strands, its weights are damaged: fit it again")
     return values
 
@@ -104,7 +103,7 @@ def _sample_batch(
 def _patch_denoiser(texture: FittedTexture, cells: int, generators: list[np.random.Generator]) -> Denoiser:
     """The closed-form denoiser for a batch of strands, each with examples of its own."""
     lengths = texture.cells
-    stretches = max(FEWEST_STRETCHES, int(np.ceil(2.0 * cells / np.median(lengths))))
+    stretches = int(np.ceil(2.0 * cells / np.median(lengths)))
     bounds = np.round(np.linspace(0, cells, stretches + 1)).astype(np.int64)
     plans = [plan_stretches(rng, lengths, cells, bounds, min(OFFERED, max(len(lengths), 4))) for rng in generators]
     chosen = np.stack([plan[0] for plan in plans])

@@ -4,8 +4,8 @@ Variance-preserving diffusion under the cosine schedule (Nichol and Dhariwal 202
 whitened signal, with AdamW (Loshchilov and Hutter 2019), a learning rate that rises and then falls as a cosine,
 clipped gradients, and bfloat16 on a GPU. What is exported is the moving average of the weights.
 
-What a step sees is drawn from its own number, so a training that was stopped goes on as if it had not been, and
-several processes (torchrun) share the very batches that one would see.
+What a step sees is drawn from its own number: the weights of a training that was stopped go on as if it had not
+been, and several processes (torchrun) share the very batches that one would see.
 """
 
 from __future__ import annotations

@@ -20,6 +20,7 @@ from detangled.geometry.arc import arc_lengths
 from detangled.geometry.centerline import LEAST_CURL, centerlines
 from detangled.geometry.signal import signals
 from detangled.geometry.winding import STRAIGHT_RADIUS, winding
+from detangled.groom import offsets_of
 from detangled.grooming.guides import to_canonical
 from detangled.texture import arc_of_a_turn
 from detangled_training.strands import Recipes, Strands, draw_recipes, make_strands
@@ -129,7 +130,7 @@ def straightened(strands: Strands) -> Straightened:
     # A strand without curl is its own centreline, and would lie on the axis.
     found = winding(canonical, strands.offsets)[0] >= STRAIGHT_RADIUS
     counts = np.diff(strands.body, axis=1)[:, 0]
-    offsets = np.concatenate([[0], np.cumsum(counts)])
+    offsets = offsets_of(counts)
     rows = np.arange(offsets[-1]) + np.repeat(strands.body[:, 0] - offsets[:-1], counts)
     points = np.where(np.repeat(found, counts)[:, None], canonical[rows], strands.points[rows])
     return Straightened(points, offsets, found)
@@ -142,7 +143,7 @@ def _fill(recipes: Recipes, seed: int, cells_per_turn: float, out: NDArray[np.fl
     canonical = straightened(strands)
     turns = strands.length / arc_of_a_turn(strands.radius, strands.wavelength)
     grids = np.maximum(cells, np.ceil(turns * cells_per_turn).astype(np.int64))
-    starts = np.concatenate([[0], np.cumsum(grids)])
+    starts = offsets_of(grids)
     values = signals(canonical.points, canonical.offsets, starts)
 
     share = np.array([np.random.default_rng([seed, int(number), _CROP]).random() for number in recipes.number])

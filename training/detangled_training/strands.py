@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 
 from detangled.errors import TextureError
-from detangled.groom import Groom
+from detangled.groom import Groom, offsets_of
 from detangled.kernels import kernel, parallel_kernel, prange
 from detangled.texture import HAIR_TYPES, TWISTS_PER_CM, Profile, arc_of_a_turn
 
@@ -180,12 +180,12 @@ def make_strands(recipes: Recipes, seed: int, margin: ArrayLike = 0.0) -> Strand
     segments = np.maximum(np.ceil(recipes.length / finest), FEWEST_SEGMENTS).astype(np.int64)
     step = recipes.length / segments
     before = np.ceil(np.broadcast_to(np.asarray(margin, dtype=np.float64), (count,)) / step).astype(np.int64)
-    offsets = np.concatenate([[0], np.cumsum(segments + 1 + 2 * before)])
+    offsets = offsets_of(segments + 1 + 2 * before)
 
     twists = np.round(TWISTS_PER_CM * recipes.twist * recipes.length).astype(np.int64)
     twists = np.minimum(twists, segments - 1)
     outer = np.minimum(np.round(TWISTS_PER_CM * recipes.twist * before * step).astype(np.int64), before)
-    twist_offsets = np.concatenate([[0], np.cumsum(twists + 2 * outer)])
+    twist_offsets = offsets_of(twists + 2 * outer)
     at = np.empty(twist_offsets[-1], dtype=np.int64)
     angle = np.empty(twist_offsets[-1])
     for s, (a, b) in enumerate(pairwise(twist_offsets)):

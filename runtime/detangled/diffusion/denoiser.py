@@ -17,7 +17,7 @@ from detangled.models import Model
 # One size of batch for all calls, each on one thread: what a strand becomes depends on neither.
 BATCH = 8
 CONDITIONS = 4
-LEAST_OVERLAP = 0.25  # of neighbouring windows
+LEAST_OVERLAP = 0.25  # of neighbouring windows: four turns of the grid that fitting uses
 
 
 class NetworkDenoiser:
@@ -56,8 +56,11 @@ class NetworkDenoiser:
     def _run(self, noisy: NDArray[np.float64], position: NDArray[np.float64], log_snr: float) -> NDArray[np.float32]:
         count = len(noisy)
         padding = BATCH - count
+        # Beyond float32 there is nothing to predict; whoever asked finds no finite answer.
+        with np.errstate(over="ignore"):
+            narrow = np.pad(noisy, ((0, padding), (0, 0), (0, 0))).astype(np.float32)
         given = {
-            "noisy": np.pad(noisy, ((0, padding), (0, 0), (0, 0))).astype(np.float32),
+            "noisy": narrow,
             "log_snr": np.full(BATCH, log_snr, dtype=np.float32),
             "position": np.pad(position, ((0, padding), (0, 0))).astype(np.float32),
             "condition": np.zeros((BATCH, CONDITIONS), dtype=np.float32),

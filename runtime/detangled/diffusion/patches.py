@@ -6,7 +6,8 @@ analytic theory of creativity in convolutional diffusion models"): weights exp(-
 sigma^2)), wide patches at high noise, narrow ones at low noise. Distances between all patches of two strands are
 running sums along their diagonals, so their cost does not depend on the patch's width.
 
-A strand is made in stretches, each offered a few examples of its own, so that none can be copied from root to tip.
+A strand is made in stretches, each offered a few examples of its own, so that none longer than half
+an example can be copied from root to tip.
 """
 
 from __future__ import annotations
