@@ -202,10 +202,12 @@ def finer_cells(signal: NDArray[np.float64], parts: int) -> NDArray[np.float64]:
             out[j, 2] = signal[i, 2]
             least = min(least, out[j, 0])
         if least < 0.0:
-            # Curvature is not negative: less of the spline, the mean kept.
-            share = max(signal[i, 0], 0.0) / (max(signal[i, 0], 0.0) - least)
+            # The spline may not make curvature negative: less of it, the mean kept. A mean below 0, of a straight
+            # strand's rounding, stays.
+            mean = signal[i, 0]
+            share = max(mean, 0.0) / (max(mean, 0.0) - least)
             for j in range(i * parts, (i + 1) * parts):
-                out[j, 0] = max(signal[i, 0] + share * (out[j, 0] - signal[i, 0]), 0.0)
+                out[j, 0] = max(mean + share * (out[j, 0] - mean), min(mean, 0.0))
     return out
 
 
