@@ -1,6 +1,6 @@
 """The two engines on a few strands: patches, and the network trained on them.
 
-python benchmarks/engines.py [--steps 100,300,900] [--strands 12] [--picture OUT.png]
+python benchmarks/engines.py [--steps 100,300] [--strands 12] [--picture OUT.png]
 
 Twelve strands of coily_swatch.obj are fitted by both engines, and two of them as in the paper's figure of small
 inputs. New strands are drawn as long as the targets and measured where they are made, in canonical space: radius and
@@ -47,7 +47,7 @@ HEADER = f"{'':34}{'seconds':>9}{'radius':>9}{'wavelength':>12}{'W1 kappa':>10}{
 
 def main(arguments: list[str] | None = None) -> int:
     parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
-    parser.add_argument("--steps", default="100,300,900", help="of fits to be compared")
+    parser.add_argument("--steps", default="100,300", help="of fits to be compared")
     parser.add_argument("--strands", type=int, default=SHOWN)
     parser.add_argument("--picture", type=Path)
     options = parser.parse_args(arguments)
