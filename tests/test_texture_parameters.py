@@ -27,8 +27,10 @@ from detangled.texture import (
 
 
 def test_parameters_at_their_limits_are_taken() -> None:
-    TextureParameters(0.05, 0.15, 0.0, thickness=20.0, axis_ratio=0.55, porosity=0.0)
-    TextureParameters(3.0, 60.0, 1.0, thickness=180.0, axis_ratio=1.0, porosity=1.0)
+    for values in ((0.05, 0.15, 0.0, 20.0, 0.55, 0.0), (3.0, 60.0, 1.0, 180.0, 1.0, 1.0)):
+        taken = TextureParameters(*values)
+        assert (taken.radius, taken.wavelength, taken.twist) == values[:3]
+        assert (taken.thickness, taken.axis_ratio, taken.porosity) == values[3:]
 
 
 @pytest.mark.parametrize(

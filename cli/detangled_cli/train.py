@@ -130,18 +130,16 @@ def export(source: Path, folder: Path, threads: int | None) -> None:
 
 def _use(threads: int | None) -> None:
     """Load what training stands on, and have it use so many threads."""
+    from detangled.kernels import set_threads
+    from detangled_training import extra
+
     try:
-        import onnx  # noqa: F401
-        import torch
+        extra.load(threads)
     except ModuleNotFoundError as error:
         if error.name not in ("onnx", "torch"):
             raise
         raise ExtraMissing("training needs torch and onnx: pip install 'detangled[train]'") from error
-    from detangled.kernels import set_threads
-
     set_threads(threads)
-    if threads is not None:
-        torch.set_num_threads(threads)
 
 
 def _options(folder: Path, resume: bool) -> TrainingOptions:

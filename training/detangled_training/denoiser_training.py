@@ -38,7 +38,7 @@ from detangled_training.checkpoint import (
     write_checkpoint,
 )
 from detangled_training.parameters import Optimizer, flatten, flatten_tensors, layout, restore, torch_optimizer
-from detangled_training.signals import CELLS, procedural_signals
+from detangled_training.signals import CELLS, pooled_whitening, procedural_signals
 from detangled_training.unet import Architecture, UNet
 
 WHITENED_BY = 4000  # signals that the whitening is taken from
@@ -135,7 +135,7 @@ def make_samples(
     """Procedural signals with their labels, whitened as told, or by their own first some thousands."""
     values, labels = procedural_signals(count, seed, cells, progress=progress)
     if whitening is None:
-        whitening = Whitening.of(list(values[:WHITENED_BY].astype(np.float64)))
+        whitening = pooled_whitening(values[:WHITENED_BY])
         curvature, _, speed = whitening.mean
         whitening = replace(whitening, mean=(curvature, 0.0, speed))
     channels = np.concatenate([whitening.whiten(part.astype(np.float64)) for part in np.array_split(values, 64)])

@@ -28,6 +28,7 @@ from torch.func import functional_call
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from detangled.errors import ModelError, WriteError
+from detangled.models import DENOISER, FORMAT, TRAINING_STEP, VERSION
 from detangled_training.checkpoint import Checkpoint, make_folder
 from detangled_training.onnx_translation import Translator
 from detangled_training.parameters import (
@@ -43,8 +44,6 @@ from detangled_training.parameters import (
 )
 from detangled_training.unet import CHANNELS, CONDITIONS, UNet
 
-FORMAT = "detangled model"
-VERSION = 1
 OPSET = 20
 IR_VERSION = 10  # of opset 20's time: onnxruntime 1.20 reads it
 TOLERANCE = 1e-5  # between torch and onnxruntime
@@ -182,12 +181,12 @@ def export(
 
     data = denoiser_graph(network, cells)
     offset = data.index(weights.numpy().tobytes())
-    manifest = about | {"kind": "denoiser", "weights": {"element": "float16", "offset": offset}}
+    manifest = about | {"kind": DENOISER, "weights": {"element": "float16", "offset": offset}}
     denoiser = _write(folder / "denoiser.onnx", data, manifest, lambda path: _check_denoiser(path, network))
 
     data = training_step_graph(network, optimizer, batch, cells)
     constants = {"batch": batch, "optimizer": {"name": "AdamW", **dataclasses.asdict(optimizer)}}
-    manifest = about | {"kind": "training step"} | constants
+    manifest = about | {"kind": TRAINING_STEP} | constants
 
     def check(path: Path) -> float:
         return _check_training_step(path, network, optimizer, batch, cells)

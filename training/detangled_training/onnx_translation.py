@@ -17,6 +17,8 @@ from numpy.typing import NDArray
 from onnx import TensorProto, helper, numpy_helper
 from torch import Tensor, fx
 
+from detangled.errors import ModelError
+
 SAME = ("clone", "detach", "lift_fresh_copy", "alias", "detach_")
 RESHAPES = ("view", "_unsafe_view", "reshape", "unsqueeze", "squeeze")
 PLAIN = {
@@ -138,7 +140,7 @@ class Translator:
         elif name in ("_to_copy", "to"):
             self._emit("Cast", [self._of(a[0])], made, to=ELEMENTS[value.dtype])
         else:
-            raise NotImplementedError(f"no translation of {node.format_node()}")
+            raise ModelError(f"the network has an operation that cannot be exported: {node.format_node()}")
 
     def _product(self, made: str, name: str, a: Any) -> None:
         """A matrix product; a transposed factor is read as it lies."""
