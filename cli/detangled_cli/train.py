@@ -1,8 +1,9 @@
-"""detangled train: train the denoiser with torch, and export it as the models that run without."""
+"""detangled train: make data sets, train the denoiser with torch, and export it as the models that run without."""
 
 from __future__ import annotations
 
 import os
+import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -18,6 +19,7 @@ if TYPE_CHECKING:
 INTERRUPTED = 130
 WRONG_USAGE = 2
 NUMBER = click.IntRange(min=1)
+VARIANTS = 2  # of a simulated strand
 
 
 class ExtraMissing(click.ClickException):
@@ -40,6 +42,7 @@ def command(ctx: click.Context) -> None:
     \b
     Example:
       pip install 'detangled[train]'
+      detangled train data --out strands --count 50000 --simulated
       detangled train denoiser training
       detangled train export training/checkpoint.pt models
     """
@@ -103,6 +106,67 @@ def denoiser(
 
 
 @command.command()
+@click.argument("folder", metavar="OUT_FOLDER", type=click.Path(path_type=Path))
+@click.option("--data", required=True, metavar="DIR", type=click.Path(path_type=Path), help="Unsimulated strands.")
+@click.option("--simulated-data", required=True, metavar="DIR", type=click.Path(path_type=Path), help="Simulated ones.")
+@click.option(
+    "--steps",
+    metavar="A,B,C,D",
+    callback=lambda ctx, parameter, text: _stages(text),
+    help="Of twist and torsion, unsimulated, then simulated. Default: 2500,2500,700,700.",
+)
+@click.option("--batch", type=NUMBER, metavar="N", help="Strands of a step, shared by all processes. Default: 64.")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Of the training. Default: 0.")
+@threads_option
+@quiet_option
+def labelers(
+    folder: Path,
+    data: Path,
+    simulated_data: Path,
+    steps: tuple[int, ...] | None,
+    batch: int | None,
+    seed: int | None,
+    threads: int | None,
+) -> None:
+    """Train the labelers: what tells a strand's radius, wavelength and twist prevalence.
+
+    OUT_FOLDER/labelers.pt is written again and again on the way: the same command goes on from there. A GPU is used
+    where there is one; with several, start it by torchrun.
+
+    \b
+    Example:
+      detangled train data --out strands --count 50000 --seed 1
+      detangled train data --out hung --count 4000 --simulated --seed 2
+      detangled train labelers training --data strands --simulated-data hung
+      detangled train export training/labelers.pt models
+    """
+    _use(threads)
+    from detangled_training.labeler_training import LabelerOptions, LabelerTraining
+
+    if os.environ.get("RANK", "0") != "0":
+        hush()
+    asked = {"steps": steps, "batch": batch, "seed": seed}
+    options = LabelerOptions(**{name: value for name, value in asked.items() if value is not None})  # type: ignore[arg-type]
+    training = LabelerTraining(options, folder, data, simulated_data, note)
+    try:
+        with progress_bar("training steps", sum(options.steps)) as bar:
+            bar.initial = bar.n = training.steps_done
+
+            def show(step: int, loss: float) -> None:
+                bar.set_postfix_str(f"loss {loss:.3f}", refresh=False)
+                bar.update(step - bar.n)
+
+            training.run(show)
+    except KeyboardInterrupt:
+        if not training.path.exists():
+            raise
+        raise Stopped(f"interrupted; the same command goes on from what {training.path} holds") from None
+    finally:
+        training.close()
+    note(f"{training.path}: trained in {training.seconds:.0f} s")
+
+
+@command.command()
 @click.argument("source", metavar="CHECKPOINT", type=click.Path(path_type=Path))
 @click.argument("folder", metavar="DIR", type=click.Path(path_type=Path))
 @threads_option
@@ -110,22 +174,76 @@ def denoiser(
 def export(source: Path, folder: Path, threads: int | None) -> None:
     """Write a trained denoiser as models that run without torch.
 
-    In DIR these are denoiser.onnx, training_step.onnx and a .json beside each. Both are run beside torch, and not
-    written where they differ from it. The environment variable DETANGLED_MODELS names a folder of models to use.
+    Of a denoiser's checkpoint these are denoiser.onnx and training_step.onnx in DIR, of labelers' labeler.onnx and
+    labeler_gradient.onnx, and a .json beside each. All are run beside torch, and not written where they differ from it.
+    The environment variable DETANGLED_MODELS names a folder of models to use.
 
     \b
     Example:
       detangled train export training/checkpoint.pt models
     """
     _use(threads)
-    from detangled_training import onnx_export
     from detangled_training.checkpoint import read_checkpoint
+    from detangled_training.labeler_export import export_labelers
+    from detangled_training.labeler_training import is_labelers
+    from detangled_training.onnx_export import export as export_denoiser
 
-    checkpoint = read_checkpoint(source)
-    note(f"{source}: {len(checkpoint.weights):,} parameters; exporting takes a while")
-    for model in onnx_export.export(checkpoint, folder):
+    note(f"{source}: exporting takes a while")
+    for model in (
+        export_labelers(source, folder) if is_labelers(source) else export_denoiser(read_checkpoint(source), folder)
+    ):
         note(f"{model.path}: {_size(model.path)}; onnxruntime and torch differ by {model.difference:.1g} at most")
         note(f"{model.manifest}: {_size(model.manifest)}")
+
+
+@command.command()
+@click.option(
+    "--out",
+    "folder",
+    required=True,
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Folder of the data set. One that was begun by the same options is gone on with.",
+)
+@click.option("--count", type=NUMBER, required=True, metavar="N", help="Base strands, of all hair types alike.")
+@click.option("--simulated", is_flag=True, help="Hang each strand wet, by simulation, with drawn fibres.")
+@click.option("--variants", type=NUMBER, metavar="K", help="Times each strand is hung, if simulated. Default: 2.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Of the strands. Default: 0.")
+@click.option("--workers", type=NUMBER, metavar="N", help="Processes to share the cores. Default: one for each core.")
+@quiet_option
+def data(folder: Path, count: int, simulated: bool, variants: int | None, seed: int, workers: int | None) -> None:
+    """Write a data set of strands to train on.
+
+    Stopped, it goes on when the same command is given again; with a larger --count it is extended. The same options
+    give the same bytes, whatever the number of workers.
+
+    \b
+    Example:
+      detangled train data --out strands --count 50000 --simulated
+    """
+    if variants is not None and not simulated:
+        raise click.UsageError("--variants is how often each strand is hung: it goes with --simulated")
+    from detangled_training import dataset
+    from detangled_training.variants import VariantOptions
+
+    options = VariantOptions(hung=(variants or VARIANTS) if simulated else 0)
+    announce_first_run("resting.hang_all" if simulated else "winding.winding")
+    began = time.monotonic()
+    try:
+        with progress_bar("strands", count) as bar:
+            written = dataset.write_dataset(folder, count, seed, options, workers, bar.update)
+    except KeyboardInterrupt:
+        if not (folder / dataset.MANIFEST).exists():
+            raise
+        how_far = dataset.read_manifest(folder).how_far
+        raise Stopped(f"interrupted; {folder}: {how_far}: the same command goes on from there") from None
+    manifest = written.manifest
+    size = _said(sum((folder / name).stat().st_size for name in manifest.shards))
+    holds = f"{folder}: {count:,} strands, {manifest.signals:,} signals, {size}"
+    if written.made:
+        note(f"{holds}; {written.made} of {len(manifest.shards)} shards made in {time.monotonic() - began:.0f} s")
+    else:
+        note(f"{holds}: finished already")
 
 
 def _use(threads: int | None) -> None:
@@ -157,6 +275,15 @@ def _options(folder: Path, resume: bool) -> TrainingOptions:
     return begun(read_checkpoint(path), path)[1]
 
 
+def _stages(text: str | None) -> tuple[int, ...] | None:
+    if text is None:
+        return None
+    parts = text.split(",")
+    if len(parts) != 4 or not all(part.strip().isdigit() and int(part) > 0 for part in parts):
+        raise click.BadParameter(f"{text!r}: four numbers of steps, such as 2500,2500,700,700")
+    return tuple(int(part) for part in parts)
+
+
 def _train(training: Training) -> None:
     steps = training.options.steps
     if training.step >= steps:
@@ -177,5 +304,8 @@ def _train(training: Training) -> None:
 
 
 def _size(path: Path) -> str:
-    size = path.stat().st_size
+    return _said(path.stat().st_size)
+
+
+def _said(size: int) -> str:
     return f"{size / 1e6:.1f} MB" if size >= 1e5 else f"{size / 1e3:.1f} kB"

@@ -1,7 +1,7 @@
 """Detangled: strand-based hair, measured, edited and generated on a CPU.
 
-The Python API says what the command line says: ``read`` a groom, ``fit`` a texture to a few strands, ``retexture`` the
-groom with it, ``write`` the result. Each is loaded when first used.
+The Python API says what the command line says: ``read`` a groom, ``label`` its strands, ``fit`` a texture to a few,
+``retexture`` the groom with it, ``write`` the result. Each is loaded when first used.
 """
 
 from __future__ import annotations
@@ -16,6 +16,7 @@ if TYPE_CHECKING:
     from detangled.groom import Attribute, Groom, Scope
     from detangled.grooming.guides import guides_groom as guides
     from detangled.grooming.lengths import Length
+    from detangled.labeling import Labels, label
     from detangled.retexturing import Options, Result, retexture
 
 __version__ = "0.1.0"
@@ -29,6 +30,8 @@ _WHERE = {
     "fit": ("detangled.fitting", "fit"),
     "save_texture": ("detangled.fitted", "save_texture"),
     "load_texture": ("detangled.fitted", "load_texture"),
+    "label": ("detangled.labeling", "label"),
+    "Labels": ("detangled.labeling", "Labels"),
     "guides": ("detangled.grooming.guides", "guides_groom"),
     "retexture": ("detangled.retexturing", "retexture"),
     "Length": ("detangled.grooming.lengths", "Length"),
@@ -39,6 +42,7 @@ _WHERE = {
 __all__ = [
     "Attribute",
     "Groom",
+    "Labels",
     "Length",
     "Options",
     "Result",
@@ -46,6 +50,7 @@ __all__ = [
     "__version__",
     "fit",
     "guides",
+    "label",
     "load_texture",
     "read",
     "retexture",

@@ -22,7 +22,7 @@ from detangled.formats import replacing
 
 SUFFIX = ".texture"
 FORMAT = "detangled texture"
-VERSION = 2
+VERSION = 3
 PATCHES, FINETUNE = "patches", "finetune"
 METHODS = (PATCHES, FINETUNE)
 
@@ -37,7 +37,8 @@ class FittedTexture:
     arc_per_axis: arc length per length along the axis, in the median.
     radius, wavelength: medians by winding [cm]; the wavelength of straight hair is NaN.
     method: the engine that draws new strands, PATCHES or FINETUNE. weights: (P,) float16, of the network that was
-    trained on the strands, and architecture, its sizes; neither for PATCHES.
+    trained on the strands, and architecture, its sizes; calibration: (2, 2, 2, Q), how far what it draws is off
+    (``diffusion.calibration``). None of them for PATCHES.
     """
 
     signals: NDArray[np.float64]
@@ -53,6 +54,7 @@ class FittedTexture:
     method: str = PATCHES
     weights: NDArray[np.float16] = field(default_factory=lambda: np.empty(0, dtype=np.float16))
     architecture: dict[str, Any] = field(default_factory=dict)
+    calibration: NDArray[np.float64] = field(default_factory=lambda: np.empty((2, 2, 2, 0)))
 
     @property
     def strand_count(self) -> int:
@@ -90,6 +92,7 @@ def save_texture(texture: FittedTexture, path: str | Path) -> None:
         "signals": texture.signals,
         "starts": texture.starts,
         "weights": texture.weights,
+        "calibration": texture.calibration,
     }
     with replacing(Path(path)) as temporary:
         write_arrays(temporary, arrays)
@@ -115,7 +118,9 @@ def load_texture(path: str | Path) -> FittedTexture:
         values = arrays["signals"].astype(np.float64, casting="safe")
         starts = arrays["starts"].astype(np.int64, casting="safe")
         weights = arrays["weights"]
+        levels = arrays["calibration"].astype(np.float64, casting="safe")
         _check_arrays(values, starts, weights, method)
+        _check_calibration(levels)
         return FittedTexture(
             signals=values,
             starts=starts,
@@ -123,6 +128,7 @@ def load_texture(path: str | Path) -> FittedTexture:
             schedule=PatchSchedule(**manifest["schedule"]),
             method=method,
             weights=weights,
+            calibration=levels,
             architecture=dict(manifest["architecture"]),
             **{
                 name: float(manifest[name])
@@ -143,3 +149,11 @@ def _check_arrays(values: NDArray[Any], starts: NDArray[Any], weights: NDArray[A
         raise ValueError("weights of another kind, or not finite")
     if (len(weights) > 0) != (method == FINETUNE):
         raise ValueError("weights that do not go with the method")
+
+
+def _check_calibration(levels: NDArray[np.float64]) -> None:
+    """Raise ValueError where it is not monotone maps."""
+    if levels.ndim != 4 or levels.shape[:3] != (2, 2, 2) or not np.isfinite(levels).all():
+        raise ValueError("a calibration of another shape, or not finite")
+    if (np.diff(levels, axis=3) < 0.0).any():
+        raise ValueError("a calibration that is not monotone")

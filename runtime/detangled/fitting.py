@@ -12,6 +12,7 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.diffusion.calibration import calibration
 from detangled.diffusion.finetune import FineTuning, StepProgress, fine_tune
 from detangled.diffusion.whitening import Whitening
 from detangled.errors import ModelError, TextureError
@@ -24,9 +25,12 @@ from detangled.grooming.guides import style_guides, usable_strands
 from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
+from detangled.synthesis import synthesise
 
 POINTS_PER_TURN = 16  # of a new strand, and of targets before they are measured
 COARSE_CELLS = 512  # of a strand whose turns are only to be counted
+CALIBRATED_BY = 64  # strands drawn to see how far they are off
+CALIBRATION_SEED = 1 << 31  # one that nobody draws strands with
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
 
@@ -69,7 +73,18 @@ def fit(
     texture = measured(groom, grid)
     strands = [texture.whitening.whiten(texture.signals[a:b]) for a, b in pairwise(texture.starts)]
     tuned = fine_tune(strands, texture.whitening, step, denoiser.weights, fine_tuning, thread_count(), progress)
-    return replace(texture, method=FINETUNE, weights=tuned.weights, architecture=denoiser.architecture)
+    texture = replace(texture, method=FINETUNE, weights=tuned.weights, architecture=denoiser.architecture)
+    return replace(texture, calibration=_calibration(texture))
+
+
+def _calibration(texture: FittedTexture) -> NDArray[np.float64]:
+    """How far the strands that a network draws are off, measured on some that are as long as the targets."""
+    arcs = np.array([texture.signals[a:b, 2].mean() for a, b in pairwise(texture.starts)])
+    values, starts = synthesise(texture, np.resize(arcs, CALIBRATED_BY), np.arange(CALIBRATED_BY), CALIBRATION_SEED)
+    return calibration(
+        [texture.whitening.whiten(values[a:b]) for a, b in pairwise(starts)],
+        [texture.channels[:, a:b] for a, b in pairwise(texture.starts)],
+    )
 
 
 def measured(groom: Groom, grid: Grid) -> FittedTexture:

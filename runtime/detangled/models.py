@@ -9,6 +9,8 @@ from __future__ import annotations
 import hashlib
 import json
 import os
+from collections.abc import Iterator
+from contextlib import contextmanager
 from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
@@ -30,22 +32,30 @@ FOLDER_VARIABLE = "DETANGLED_MODELS"
 
 DENOISER = "denoiser"
 TRAINING_STEP = "training step"
-_FILES = {DENOISER: "denoiser.onnx", TRAINING_STEP: "training_step.onnx"}
+LABELER = "labeler"
+LABELER_GRADIENT = "labeler gradient"
+FILES = {
+    DENOISER: "denoiser.onnx",
+    TRAINING_STEP: "training_step.onnx",
+    LABELER: "labeler.onnx",
+    LABELER_GRADIENT: "labeler_gradient.onnx",
+}
 _REMEDY = "install detangled again, or export the model anew (detangled train export)"
-_FIELDS = (
-    *("format", "version", "kind", "architecture", "parameters", "whitening"),
-    *("schedule", "cells", "opset", "sha256", "training"),
-)
-_OWN_FIELDS: dict[str, tuple[str, ...]] = {DENOISER: ("weights",), TRAINING_STEP: ("batch",)}
+_FIELDS = ("format", "version", "kind", "architecture", "parameters", "cells", "opset", "sha256", "training")
+_OWN_FIELDS: dict[str, tuple[str, ...]] = {
+    DENOISER: ("whitening", "schedule", "weights"),
+    TRAINING_STEP: ("whitening", "schedule", "batch"),
+    LABELER: ("batch",),
+    LABELER_GRADIENT: ("batch",),
+}
 
 
 @dataclass(frozen=True)
-class Model:
+class ExportedModel:
     """A verified model: its bytes, and what its manifest says.
 
-    parameters: how many weights. cells: of the signals that it was trained on. batch: samples of a training step, 0
-    where the model is none. weights_at: where in the bytes the float16 weights start, -1 where there are none.
-    training: how the model came about, as its exporter tells it.
+    parameters: how many weights. cells: of the signals that it was trained on. batch: samples that it takes at once, 0
+    where these are as many as one likes. training: how the model came about, as its exporter tells it.
     """
 
     path: Path
@@ -53,12 +63,38 @@ class Model:
     data: bytes
     architecture: dict[str, Any]
     parameters: int
-    whitening: Whitening
-    schedule: CosineSchedule
     cells: int
     batch: int
-    weights_at: int
     training: dict[str, Any]
+
+    def session(self, threads: int = 1) -> onnxruntime.InferenceSession:
+        """A session on so many threads."""
+        return self._session(self.data, threads)
+
+    def _session(self, data: bytes, threads: int) -> onnxruntime.InferenceSession:
+        import onnxruntime
+
+        options = onnxruntime.SessionOptions()
+        options.intra_op_num_threads = threads
+        options.inter_op_num_threads = 1
+        options.log_severity_level = 3
+        try:
+            return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
+        except Exception as error:
+            # onnxruntime's errors have no class of their own in common.
+            raise ModelError(f"{self.path}: onnxruntime {onnxruntime.__version__} cannot run it: {error}") from error
+
+
+@dataclass(frozen=True)
+class Model(ExportedModel):
+    """A denoiser, or a step of its training.
+
+    weights_at: where in the bytes the float16 weights start, -1 where there are none.
+    """
+
+    whitening: Whitening
+    schedule: CosineSchedule
+    weights_at: int
 
     @property
     def weights(self) -> NDArray[np.float16]:
@@ -71,23 +107,13 @@ class Model:
         They are put in place of the file's own, since onnxruntime folds those of a file into its plan before it
         looks at any that it is handed.
         """
-        import onnxruntime
-
         data = self.data
         if weights is not None:
             if weights.dtype != np.float16 or weights.shape != (self.parameters,):
                 raise ModelError(f"{self.path}: {weights.shape} {weights.dtype} weights, not {self.parameters} float16")
             end = self.weights_at + 2 * self.parameters
             data = data[: self.weights_at] + weights.astype("<f2").tobytes() + data[end:]
-        options = onnxruntime.SessionOptions()
-        options.intra_op_num_threads = threads
-        options.inter_op_num_threads = 1
-        options.log_severity_level = 3
-        try:
-            return onnxruntime.InferenceSession(data, options, providers=["CPUExecutionProvider"])
-        except Exception as error:
-            # onnxruntime's errors have no class of their own in common.
-            raise ModelError(f"{self.path}: onnxruntime {onnxruntime.__version__} cannot run it: {error}") from error
+        return self._session(data, threads)
 
 
 def models_folder() -> Path:
@@ -98,7 +124,29 @@ def models_folder() -> Path:
 
 def load_model(kind: str, folder: Path | None = None) -> Model:
     """Read and verify a model, DENOISER or TRAINING_STEP. Raises ModelError where it is missing, damaged or other."""
-    path = (folder or models_folder()) / _FILES[kind]
+    manifest, path, data = _verified(kind, folder)
+    with _blaming(path):
+        model = Model(
+            **_common(manifest, path, kind, data, kind == TRAINING_STEP),
+            whitening=Whitening(**{name: tuple(value) for name, value in manifest["whitening"].items()}),
+            schedule=CosineSchedule(**manifest["schedule"]),
+            weights_at=int(manifest["weights"]["offset"]) if kind == DENOISER else -1,
+        )
+        if kind == DENOISER and not 0 <= model.weights_at <= len(data) - 2 * model.parameters:
+            raise ValueError("weights that are not in the file")
+    return model
+
+
+def load_labeler(kind: str = LABELER, folder: Path | None = None) -> ExportedModel:
+    """Read and verify LABELER or LABELER_GRADIENT. Raises ModelError where it is missing, damaged or other."""
+    manifest, path, data = _verified(kind, folder)
+    with _blaming(path):
+        return ExportedModel(**_common(manifest, path, kind, data, True))
+
+
+def _verified(kind: str, folder: Path | None) -> tuple[dict[str, Any], Path, bytes]:
+    """A model's manifest, its path, and its bytes, which are those that the manifest was written for."""
+    path = (folder or models_folder()) / FILES[kind]
     manifest = _manifest(path.with_suffix(".json"), kind)
     try:
         data = path.read_bytes()
@@ -106,29 +154,36 @@ def load_model(kind: str, folder: Path | None = None) -> Model:
         raise ModelError(f"{path}: cannot be read ({error.strerror}): {_REMEDY}") from error
     if hashlib.sha256(data).hexdigest() != manifest["sha256"]:
         raise ModelError(f"{path}: its bytes are not those its manifest was written for: {_REMEDY}")
+    return manifest, path, data
+
+
+def _common(manifest: dict[str, Any], path: Path, kind: str, data: bytes, batched: bool) -> dict[str, Any]:
+    """What every model has. Raises ValueError and the like where the manifest is damaged."""
+    parameters, cells = int(manifest["parameters"]), int(manifest["cells"])
+    batch = int(manifest["batch"]) if batched else 0
+    if min(parameters, cells) < 1:
+        raise ValueError("a network without weights or cells")
+    if batched and batch < 1:
+        raise ValueError("a batch without samples")
+    return {
+        "path": path,
+        "kind": kind,
+        "data": data,
+        "architecture": dict(manifest["architecture"]),
+        "parameters": parameters,
+        "cells": cells,
+        "batch": batch,
+        "training": dict(manifest["training"]),
+    }
+
+
+@contextmanager
+def _blaming(path: Path) -> Iterator[None]:
+    """Whatever is wrong with a manifest's values, said in one way."""
     try:
-        model = Model(
-            path=path,
-            kind=kind,
-            data=data,
-            architecture=dict(manifest["architecture"]),
-            parameters=int(manifest["parameters"]),
-            whitening=Whitening(**{name: tuple(value) for name, value in manifest["whitening"].items()}),
-            schedule=CosineSchedule(**manifest["schedule"]),
-            cells=int(manifest["cells"]),
-            batch=int(manifest["batch"]) if kind == TRAINING_STEP else 0,
-            weights_at=int(manifest["weights"]["offset"]) if kind == DENOISER else -1,
-            training=dict(manifest["training"]),
-        )
-        if min(model.parameters, model.cells) < 1:
-            raise ValueError("a network without weights or cells")
-        if kind == TRAINING_STEP and model.batch < 1:
-            raise ValueError("a step of training without samples")
-        if kind == DENOISER and not 0 <= model.weights_at <= len(data) - 2 * model.parameters:
-            raise ValueError("weights that are not in the file")
+        yield
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, DetangledError) as error:
         raise ModelError(f"{path.with_suffix('.json')}: damaged ({error}): {_REMEDY}") from error
-    return model
 
 
 def _manifest(path: Path, kind: str) -> dict[str, Any]:

@@ -12,6 +12,7 @@ from contextlib import nullcontext
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.diffusion.calibration import calibrated
 from detangled.diffusion.denoiser import NetworkDenoiser
 from detangled.diffusion.patches import denoise_strands, plan_stretches
 from detangled.diffusion.sampler import DEFAULT_STEPS, Denoiser, Guide, SamplerStep, sample
@@ -30,6 +31,7 @@ WIDEST_SHARE = 0.8  # of a stretch: the half-width of its widest patches
 # The axis of a signal that is mostly noise means nothing.
 STEER_BELOW = 1.0  # sigma / alpha
 FEWEST_TURNS_TO_STEER = 12.0
+_PIECE = 1  # tells the stream that chooses a piece from the one that noise is drawn from
 
 
 def grid_cells(texture: FittedTexture, arcs: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -53,21 +55,36 @@ def synthesise(
     progress: told how many strands were finished.
     """
     network = _network(texture)
+    shown = int(grid_cells(texture, np.array([texture.median_arc]))[0])
     cells = grid_cells(texture, arcs)
     starts = offsets_of(cells)
     out = np.empty((starts[-1], 3))
     for size in np.unique(cells):
         members = np.flatnonzero(cells == size)
+        # To the network short hair is a piece, from anywhere, of a strand as long as those it was shown.
+        drawn = max(int(size), shown if network else 0)
         for first in range(0, len(members), BATCH):
             batch = members[first : first + BATCH]
             rows = starts[batch][:, None] + np.arange(size)
-            out[rows] = _sample_batch(texture, network, int(size), arcs[batch], names[batch], seed, steps)
+            made = _sample_batch(texture, network, drawn, arcs[batch] * (drawn / size), names[batch], seed, steps)
+            begin = [
+                np.random.default_rng([seed, int(name), _PIECE]).integers(drawn - size + 1) for name in names[batch]
+            ]
+            made = made[np.arange(len(batch))[:, None], np.array(begin)[:, None] + np.arange(size)]
+            out[rows] = with_arcs(made, arcs[batch])
             if progress is not None:
                 progress(len(batch))
     return out, starts
 
 
-def _network(texture: FittedTexture) -> Denoiser | None:
+def with_arcs(values: NDArray[np.float64], arcs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signals (B, L, 3) of strands of these arc lengths (B,) [cm]: v is scaled, which leaves kappa and tau alone."""
+    out = values.copy()
+    out[:, :, 2] *= (arcs / values[:, :, 2].mean(axis=1))[:, None]
+    return out
+
+
+def _network(texture: FittedTexture) -> NetworkDenoiser | None:
     """The network trained on the texture's strands; None where it is drawn by patches."""
     if texture.method != FINETUNE:
         return None
@@ -79,7 +96,7 @@ def _network(texture: FittedTexture) -> Denoiser | None:
 
 def _sample_batch(
     texture: FittedTexture,
-    network: Denoiser | None,
+    network: NetworkDenoiser | None,
     cells: int,
     arcs: NDArray[np.float64],
     names: NDArray[np.int64],
@@ -89,12 +106,13 @@ def _sample_batch(
     """Signals (B, cells, 3) of strands on one grid."""
     generators = [np.random.default_rng([seed, int(name)]) for name in names]
     noise = np.stack([rng.standard_normal((3, cells)) for rng in generators])
-    denoise = network or _patch_denoiser(texture, cells, generators)
+    denoise: Denoiser = network or _patch_denoiser(texture, cells, generators)
     # A network of senseless weights predicts whatever it may: that is told of below, once.
     with nullcontext() if network is None else np.errstate(all="ignore"):
         channels = sample(denoise, noise, CosineSchedule(), steps, _guide(texture, cells, arcs))
-        values = texture.whitening.restore(channels)
-        values[:, :, 2] *= (arcs / values[:, :, 2].mean(axis=1))[:, None]
+        if texture.calibration.size:
+            channels = calibrated(channels, texture.calibration)
+        values = with_arcs(texture.whitening.restore(channels), arcs)
     if network is not None and not np.isfinite(values).all():
         raise ModelError("the texture's network predicts no finite strands, its weights are damaged: fit it again")
     return values
@@ -128,8 +146,7 @@ def _guide(texture: FittedTexture, cells: int, arcs: NDArray[np.float64]) -> Gui
     steered = cells * texture.cell_width > FEWEST_TURNS_TO_STEER * texture.turn
 
     def guide(channels: NDArray[np.float64], step: SamplerStep) -> NDArray[np.float64]:
-        values = whitening.restore(channels)
-        values[:, :, 2] *= (arcs / values[:, :, 2].mean(axis=1))[:, None]
+        values = with_arcs(whitening.restore(channels), arcs)
         if steered and step.sigma < STEER_BELOW * step.alpha:
             values = steer_strands(values, texture.turn)
         return whitening.whiten(values)

@@ -92,7 +92,7 @@ def test_training_comes_near_the_least_loss_there_is(step: Model, count: int) ->
     assert tuned.curve[-1][1] < 0.7 * tuned.curve[0][1]
 
 
-def test_steps_are_those_of_adam_with_a_warm_up_and_a_running_mean(step: Model) -> None:
+def test_steps_are_those_of_adam_with_a_rate_that_rises_and_falls_and_a_running_mean(step: Model) -> None:
     strands = smooth(2)
     options = FineTuning(few_steps=12, learning_rate=3e-3, warm_up=8)
     weights = WEIGHTS.astype(np.float64)
@@ -106,7 +106,8 @@ def test_steps_are_those_of_adam_with_a_warm_up_and_a_running_mean(step: Model) 
         first = BETA1 * first + (1.0 - BETA1) * gradient
         second = BETA2 * second + (1.0 - BETA2) * gradient**2
         direction = first / (1.0 - BETA1**k) / (np.sqrt(second / (1.0 - BETA2**k)) + EPSILON)
-        weights -= FASTER * 3e-3 * min(1.0, k / 8) * direction
+        fall = 0.02 + 0.98 * 0.5 * (1.0 + np.cos(np.pi * (k - 1) / 12))
+        weights -= FASTER * 3e-3 * min(1.0, k / 8) * fall * direction
         keep = min(options.average, (1.0 + k) / (10.0 + k))
         mean = keep * mean + (1.0 - keep) * weights
     tuned = fine_tune(strands, WHITENING, step, WEIGHTS, options)
@@ -125,8 +126,16 @@ def test_the_seed_decides_the_weights_and_the_threads_do_not(step: Model, count:
     assert changed.weights.tobytes() != first.weights.tobytes()
 
 
-def test_it_stops_when_it_no_longer_gains_and_keeps_the_best(step: Model) -> None:
+def test_it_stops_when_it_no_longer_gains_and_keeps_the_best(step: Model, monkeypatch: pytest.MonkeyPatch) -> None:
     strands = smooth(12)
+    evaluated: list[bytes] = []
+    evaluate = finetune._Trainer.evaluate
+
+    def watched(trainer: Any, batch: Any) -> float:
+        evaluated.append(trainer.average.astype(np.float16).tobytes())
+        return evaluate(trainer, batch)
+
+    monkeypatch.setattr(finetune._Trainer, "evaluate", watched)
     told: list[tuple[int, int, float]] = []
     tuned = fine_tune(strands, WHITENING, step, WEIGHTS, QUICK, progress=lambda *at: told.append(at))
     steps, _, scores = np.array(tuned.curve).T
@@ -138,8 +147,8 @@ def test_it_stops_when_it_no_longer_gains_and_keeps_the_best(step: Model) -> Non
     # It says each step, of how many at most.
     assert [at[:2] for at in told] == [(k, QUICK.most_steps) for k in range(1, int(steps[-1]) + 1)]
     # The weights are those of the best step, not of the last.
-    until = fine_tune(strands, WHITENING, step, WEIGHTS, replace(QUICK, most_steps=tuned.step))
-    assert until.weights.tobytes() == tuned.weights.tobytes()
+    assert tuned.weights.tobytes() == evaluated[best * finetune.EVALUATED_BATCHES]
+    assert tuned.weights.tobytes() != evaluated[-1]
 
 
 def test_held_out_strands_are_not_learned_from(step: Model, monkeypatch: pytest.MonkeyPatch) -> None:
@@ -238,21 +247,30 @@ def numbered(cells: int) -> Floats:
 def test_windows_come_from_everywhere_and_know_their_place(step: Model) -> None:
     cells = CELLS + 5
     places = set()
+    shares = []
     for seed in range(60):
         batch = draw_windows([numbered(cells)], step, np.random.default_rng(seed), None)
         for clean, position in zip(batch["clean"], batch["position"], strict=True):
             first = int(clean[0, 0])
             np.testing.assert_array_equal(clean, numbered(cells)[:, first : first + CELLS])
-            np.testing.assert_allclose(position, (first + np.arange(CELLS) + 0.5) / cells, rtol=1e-6)
+            # Its place in the strand, or in a longer one of which the strand is a part.
+            own = (first + np.arange(CELLS) + 0.5) / cells
+            share = (position[-1] - position[0]) / (own[-1] - own[0])
+            begin = position[0] - share * own[0]
+            np.testing.assert_allclose(position, begin + share * own, rtol=0, atol=1e-5)
+            assert begin > -1e-5
+            assert begin + share < 1.0 + 1e-5
+            shares.append(share)
             places.add(first)
     assert places == set(range(6))
+    assert finetune.LEAST_PART - 1e-4 < min(shares) < 0.1
+    assert np.mean(np.array(shares) > 1.0 - 1e-4) == pytest.approx(1.0 - finetune.PART_OF_LONGER, abs=0.1)
 
 
 def test_strands_no_longer_than_a_window_are_shown_whole(step: Model) -> None:
     batch = draw_windows([numbered(CELLS)], step, np.random.default_rng(0), None)
     for k in range(STEP_BATCH):
         np.testing.assert_array_equal(batch["clean"][k], numbered(CELLS))
-        np.testing.assert_allclose(batch["position"][k], (np.arange(CELLS) + 0.5) / CELLS, rtol=1e-6)
 
 
 def test_strands_shorter_than_a_window_are_refused(step: Model) -> None:

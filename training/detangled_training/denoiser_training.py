@@ -11,8 +11,6 @@ been, and several processes (torchrun) share the very batches that one would see
 from __future__ import annotations
 
 import math
-import os
-import subprocess
 import time
 from collections.abc import Callable
 from dataclasses import asdict, dataclass, field, replace
@@ -21,13 +19,12 @@ from typing import Any
 
 import numpy as np
 import torch
-import torch.distributed as distributed
 from numpy.typing import NDArray
 from torch import Tensor
 
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
-from detangled.errors import DetangledError, ModelError
+from detangled.errors import ModelError
 from detangled_training.checkpoint import (
     CHECKPOINT,
     Checkpoint,
@@ -37,7 +34,9 @@ from detangled_training.checkpoint import (
     read_checkpoint,
     write_checkpoint,
 )
+from detangled_training.dataset import commit
 from detangled_training.parameters import Optimizer, flatten, flatten_tensors, layout, restore, torch_optimizer
+from detangled_training.processes import Processes
 from detangled_training.signals import CELLS, pooled_whitening, procedural_signals
 from detangled_training.unet import Architecture, UNet
 
@@ -192,17 +191,11 @@ class Training:
 
     def __init__(self, options: TrainingOptions, folder: Path, note: Callable[[str], object] = lambda text: None):
         self.options, self.folder = options, folder
-        self.rank, self.world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
-        self.note = note if self.rank == 0 else lambda text: None
-        if options.batch % self.world:
-            raise DetangledError(f"a batch of {options.batch} cannot be shared by {self.world} processes evenly")
+        self.processes = Processes()
+        self.device = self.processes.device
+        self.note = note if self.processes.rank == 0 else lambda text: None
+        self.part = self.processes.part(options.batch)
         make_folder(folder)
-        self.on_gpu = torch.cuda.is_available()
-        self.device = (
-            torch.device("cuda", int(os.environ.get("LOCAL_RANK", "0"))) if self.on_gpu else torch.device("cpu")
-        )
-        if self.world > 1 and not distributed.is_initialized():
-            distributed.init_process_group("nccl" if self.on_gpu else "gloo")
         torch.manual_seed(options.seed)
         self.network = UNet(options.architecture).to(self.device)
         self.optimizer = torch_optimizer(self.network, options.optimizer, options.learning_rate)
@@ -249,8 +242,7 @@ class Training:
 
     def close(self) -> None:
         """Part from the other processes, where there are any."""
-        if distributed.is_initialized():
-            distributed.destroy_process_group()
+        self.processes.close()
 
     def _rate(self) -> float:
         """The learning rate of the step at hand."""
@@ -260,24 +252,17 @@ class Training:
         return options.learning_rate * rise * (LEAST_RATE + (1.0 - LEAST_RATE) * fall)
 
     def _train(self, batch: Batch) -> float:
-        size = self.options.batch // self.world
-        part = slice(self.rank * size, (self.rank + 1) * size)
-        given = [
-            getattr(batch, name)[part].to(self.device) for name in ("noisy", "log_snr", "position", "asked", "known")
-        ]
+        names = ("noisy", "log_snr", "position", "asked", "known")
+        given = [getattr(batch, name)[self.part].to(self.device) for name in names]
         self.network.train()
         for group in self.optimizer.param_groups:
             group["lr"] = self._rate()
         self.optimizer.zero_grad(set_to_none=True)
-        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.on_gpu):
+        with torch.autocast(self.device.type, torch.bfloat16, enabled=self.processes.on_gpu):
             predicted = self.network(*given)
-        loss = ((predicted.float() - batch.clean[part].to(self.device)) ** 2).mean()
+        loss = ((predicted.float() - batch.clean[self.part].to(self.device)) ** 2).mean()
         loss.backward()
-        if self.world > 1:
-            for parameter in [p for p in self.network.parameters() if p.grad is not None] + [loss.detach()]:
-                tensor = parameter.grad if parameter.grad is not None else parameter
-                distributed.all_reduce(tensor)
-                tensor /= self.world
+        self.processes.average(self.network.parameters(), loss)
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.options.optimizer.clip)
         self.optimizer.step()
         # Early averages would remember the start for long.
@@ -312,7 +297,7 @@ class Training:
 
     def save(self, whitening: Whitening) -> None:
         """Write the checkpoint."""
-        if self.rank:
+        if self.processes.rank:
             return
         state = State(
             step=self.step,
@@ -336,13 +321,13 @@ class Training:
     def report(self) -> dict[str, Any]:
         """What a manifest says of a training: data, seeds, steps, scores, time and place."""
         return {
-            "commit": _commit(),
+            "commit": commit(),
             "data": f"{self.options.strands} procedural strands of the eight types, mirrored",
             **{k: v for k, v in self.options.plain.items() if k not in ("architecture", "optimizer")},
             "steps_done": self.step,
             "seconds": round(self.seconds),
-            "device": torch.cuda.get_device_name() if self.on_gpu else "CPU",
-            "processes": self.world,
+            "device": self.processes.device_name,
+            "processes": self.processes.world,
             "held_out_strands": HELD_OUT,
             "history": [[step, round(loss, 5), round(score, 5)] for step, loss, score in self.history],
         }
@@ -365,13 +350,3 @@ class Training:
         self.step, self.seconds, self.history = state.step, state.seconds, list(state.history)
         self.note(f"{self.path}: going on from step {self.step}")
         return stored.whitening
-
-
-def _commit() -> str:
-    """The commit this code is at, "" where it is not in a repository."""
-    command = ["git", "rev-parse", "HEAD"]
-    try:
-        run = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
-    except OSError:  # no git
-        return ""
-    return run.stdout.strip()

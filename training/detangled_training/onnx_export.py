@@ -9,27 +9,21 @@ from __future__ import annotations
 
 import copy
 import dataclasses
-import hashlib
-import json
-import os
-from collections.abc import Callable
-from dataclasses import dataclass
 from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
-import onnxruntime
 import torch
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
+from onnx import numpy_helper
 from torch import Tensor
 from torch.func import functional_call
 from torch.fx.experimental.proxy_tensor import make_fx
 
-from detangled.errors import ModelError, WriteError
+from detangled.errors import ModelError
 from detangled.models import DENOISER, FORMAT, TRAINING_STEP, VERSION
 from detangled_training.checkpoint import Checkpoint, make_folder
+from detangled_training.onnx_files import OPSET, Exported, difference, serialized, session, write_model
 from detangled_training.onnx_translation import Translator
 from detangled_training.parameters import (
     Optimizer,
@@ -44,9 +38,6 @@ from detangled_training.parameters import (
 )
 from detangled_training.unet import CHANNELS, CONDITIONS, UNet
 
-OPSET = 20
-IR_VERSION = 10  # of opset 20's time: onnxruntime 1.20 reads it
-TOLERANCE = 1e-5  # between torch and onnxruntime
 BATCH = 8  # samples of a training step
 DENOISER_INPUTS = ("noisy", "log_snr", "position", "condition", "known")
 STEP_INPUTS = (
@@ -82,7 +73,7 @@ def denoiser_graph(network: UNet, cells: int) -> bytes:
     asked = ["batch", CONDITIONS]
     shapes = dict(zip(DENOISER_INPUTS, (signal, ["batch"], ["batch", "cells"], asked, asked), strict=True))
     tensor = numpy_helper.from_array(weights.numpy(), "weights")
-    return _serialized("denoiser", translator, shapes, {"clean": signal}, [tensor])
+    return serialized("denoiser", translator, shapes, {"clean": signal}, [tensor])
 
 
 def training_step_graph(network: UNet, optimizer: Optimizer, batch: int, cells: int) -> bytes:
@@ -94,25 +85,7 @@ def training_step_graph(network: UNet, optimizer: Optimizer, batch: int, cells: 
     translator.run(STEP_INPUTS, STEP_OUTPUTS)
     shapes = {name: list(array.shape) for name, array in given.items()}
     outputs = dict(zip(STEP_OUTPUTS, (shapes["weights"],) * 3 + ([],), strict=True))
-    return _serialized("training step", translator, shapes, outputs, [])
-
-
-def _serialized(
-    name: str,
-    translator: Translator,
-    inputs: dict[str, Any],
-    outputs: dict[str, Any],
-    initializers: list[onnx.TensorProto],
-) -> bytes:
-    def described(shapes: dict[str, Any]) -> list[onnx.ValueInfoProto]:
-        return [helper.make_tensor_value_info(key, TensorProto.FLOAT, shape) for key, shape in shapes.items()]
-
-    initializers = [*initializers, *translator.constants.values()]
-    graph = helper.make_graph(translator.nodes, name, described(inputs), described(outputs), initializers)
-    opset = [helper.make_opsetid("", OPSET)]
-    model = helper.make_model(graph, opset_imports=opset, ir_version=IR_VERSION, producer_name="detangled")
-    onnx.checker.check_model(model)
-    return bytes(model.SerializeToString(deterministic=True))
+    return serialized("training step", translator, shapes, outputs, [])
 
 
 def random_inputs(batch: int, cells: int, seed: int = 0) -> Arrays:
@@ -139,18 +112,6 @@ def random_step(network: UNet, batch: int, cells: int, seed: int = 0) -> Arrays:
     one, rate = np.array(1.0, np.float32), np.array(1e-3, np.float32)
     arrays = (weights, none, none, one, rate, given["noisy"], clean, given["log_snr"], given["position"], weight)
     return dict(zip(STEP_INPUTS, arrays, strict=True))
-
-
-@dataclass(frozen=True)
-class Exported:
-    """A model that was written, with its manifest, and the largest difference between onnxruntime and torch on it."""
-
-    path: Path
-    difference: float
-
-    @property
-    def manifest(self) -> Path:
-        return self.path.with_suffix(".json")
 
 
 def export(
@@ -182,7 +143,7 @@ def export(
     data = denoiser_graph(network, cells)
     offset = data.index(weights.numpy().tobytes())
     manifest = about | {"kind": DENOISER, "weights": {"element": "float16", "offset": offset}}
-    denoiser = _write(folder / "denoiser.onnx", data, manifest, lambda path: _check_denoiser(path, network))
+    denoiser = write_model(folder / "denoiser.onnx", data, manifest, lambda path: _check_denoiser(path, network))
 
     data = training_step_graph(network, optimizer, batch, cells)
     constants = {"batch": batch, "optimizer": {"name": "AdamW", **dataclasses.asdict(optimizer)}}
@@ -191,41 +152,19 @@ def export(
     def check(path: Path) -> float:
         return _check_training_step(path, network, optimizer, batch, cells)
 
-    return denoiser, _write(folder / "training_step.onnx", data, manifest, check)
-
-
-def _write(path: Path, data: bytes, manifest: dict[str, Any], check: Callable[[Path], float]) -> Exported:
-    """Write a model and its manifest, both whole or not at all."""
-    manifest = {**manifest, "sha256": hashlib.sha256(data).hexdigest()}
-    text = json.dumps(manifest, indent=2) + "\n"
-    new = [
-        (path.with_name(f".{path.name}.new"), path),
-        (path.with_name(f".{path.stem}.json.new"), path.with_suffix(".json")),
-    ]
-    try:
-        new[0][0].write_bytes(data)
-        difference = check(new[0][0])
-        new[1][0].write_text(text, encoding="utf-8")
-        for made, place in new:
-            os.replace(made, place)
-    except OSError as error:
-        raise WriteError(f"{path}: cannot be written ({error.strerror or error})") from error
-    finally:
-        for made, _ in new:
-            made.unlink(missing_ok=True)
-    return Exported(path, difference)
+    return denoiser, write_model(folder / "training_step.onnx", data, manifest, check)
 
 
 def _check_denoiser(path: Path, network: UNet) -> float:
-    session = _session(path)
+    running = session(path)
     least = network.sizes.multiple
     differences = []
     for batch, cells in ((1, least), (3, 4 * least), (2, 9 * least)):
         given = random_inputs(batch, cells, seed=cells)
-        (found,) = session.run(None, given)
+        (found,) = running.run(None, given)
         with torch.no_grad():
             wanted = network(*(torch.from_numpy(array) for array in given.values())).numpy()
-        differences.append(_difference("clean", found, wanted))
+        differences.append(difference("clean", found, wanted))
     return max(differences)
 
 
@@ -237,7 +176,7 @@ def _check_training_step(path: Path, network: UNet, optimizer: Optimizer, batch:
     given["first_moment"] = (1e-3 * rng.standard_normal(count)).astype(np.float32)
     given["second_moment"] = rng.uniform(1e-6, 1e-5, count).astype(np.float32)
     given["step"] = np.array(5.0, np.float32)
-    found = dict(zip(STEP_OUTPUTS, _session(path).run(None, given), strict=True))
+    found = dict(zip(STEP_OUTPUTS, session(path).run(None, given), strict=True))
 
     trained = copy.deepcopy(network)
     slots = layout(trained)
@@ -247,24 +186,10 @@ def _check_training_step(path: Path, network: UNet, optimizer: Optimizer, batch:
         own.state[parameter] = {"step": torch.tensor(4.0), "exp_avg": first[name], "exp_avg_sq": second[name]}
     loss = torch_step(trained, own, optimizer.clip, *(torch.from_numpy(given[name]) for name in STEP_INPUTS[5:]))
     differences = [
-        _difference("loss", found["loss"], np.array(loss)),
-        _difference("new_weights", found["new_weights"], flatten(trained).numpy()),
+        difference("loss", found["loss"], np.array(loss)),
+        difference("new_weights", found["new_weights"], flatten(trained).numpy()),
     ]
     for name, key in (("new_first_moment", "exp_avg"), ("new_second_moment", "exp_avg_sq")):
         wanted = {parameter: own.state[value][key] for parameter, value in trained.named_parameters()}
-        differences.append(_difference(name, found[name], flatten_tensors(wanted, slots).numpy()))
+        differences.append(difference(name, found[name], flatten_tensors(wanted, slots).numpy()))
     return max(differences)
-
-
-def _difference(name: str, found: NDArray[Any], wanted: NDArray[Any]) -> float:
-    """The largest difference. Raises ModelError where it is more than the tolerance."""
-    difference = float(np.max(np.abs(found - wanted)))
-    if not difference <= TOLERANCE:
-        raise ModelError(f"{name} by onnxruntime and by torch differ by {difference:.2g}, more than {TOLERANCE:.0e}")
-    return difference
-
-
-def _session(path: Path) -> onnxruntime.InferenceSession:
-    options = onnxruntime.SessionOptions()
-    options.intra_op_num_threads = 1
-    return onnxruntime.InferenceSession(path, options, providers=["CPUExecutionProvider"])

@@ -22,8 +22,9 @@ from detangled.geometry.signal import signals
 from detangled.geometry.winding import STRAIGHT_RADIUS, winding
 from detangled.groom import offsets_of
 from detangled.grooming.guides import to_canonical
+from detangled.labeling import LOWER_PART
 from detangled.texture import arc_of_a_turn
-from detangled_training.strands import Recipes, Strands, draw_recipes, make_strands
+from detangled_training.strands import Recipes, Strands, characteristic, draw_recipes, make_strands
 
 CELLS = 256
 # Rebuilt from its cells, a twisted strand of type VIII drifts by 2.0 radii over its whole length with 8 cells a turn,
@@ -48,7 +49,7 @@ class SignalLabels:
 
     kind: int8, index into HAIR_TYPES. radius, wavelength [cm], twist (T_f), length [cm] of arc, hand (+1 or -1),
     twists (how many): as constructed (``Strands``).
-    wound_radius, wound_wavelength [cm]: as measured in canonical space by winding; NaN where it does not wind.
+    lower_radius, lower_wavelength [cm]: before twisting, of the lower part of the signal, as people name them.
     arc: [cm], arc length of the canonical strand, which the mean of v is for a whole one.
     turns: of the untwisted helix, over the whole strand. straightened: whether its axis was found and straightened.
     position: (S, 2), the part [t0, t1] of the strand's ramp from root to tip that the signal covers.
@@ -61,8 +62,8 @@ class SignalLabels:
     length: NDArray[np.float64]
     hand: NDArray[np.int8]
     twists: NDArray[np.int64]
-    wound_radius: NDArray[np.float64]
-    wound_wavelength: NDArray[np.float64]
+    lower_radius: NDArray[np.float64]
+    lower_wavelength: NDArray[np.float64]
     arc: NDArray[np.float64]
     turns: NDArray[np.float64]
     straightened: NDArray[np.bool_]
@@ -138,22 +139,12 @@ def straightened(strands: Strands) -> Straightened:
 
 def _fill(recipes: Recipes, seed: int, cells_per_turn: float, out: NDArray[np.float32]) -> SignalLabels:
     """Fill ``out`` (S, L, 3) with the signals of recipes."""
-    cells = out.shape[1]
     strands = make_strands(recipes, seed, margins(recipes))
     canonical = straightened(strands)
     turns = strands.length / arc_of_a_turn(strands.radius, strands.wavelength)
-    grids = np.maximum(cells, np.ceil(turns * cells_per_turn).astype(np.int64))
-    starts = offsets_of(grids)
-    values = signals(canonical.points, canonical.offsets, starts)
-
     share = np.array([np.random.default_rng([seed, int(number), _CROP]).random() for number in recipes.number])
-    begin = np.minimum((share * (grids - cells + 1)).astype(np.int64), grids - cells)
-    out[:] = values[(starts[:-1] + begin)[:, None] + np.arange(cells)]
-    # v is per t of the whole strand: per t of the stretch it is less.
-    part = cells / grids
-    out[:, :, 2] *= part[:, None]
-    wound_radius, wound_wavelength = winding(canonical.points, canonical.offsets)
-    winds = canonical.found
+    position = on_grids(canonical, turns, cells_per_turn, share, out)
+    lower_radius, lower_wavelength = characteristic(recipes, lower_begin(position), position[:, 1])
     return SignalLabels(
         kind=strands.kind,
         radius=strands.radius,
@@ -162,10 +153,38 @@ def _fill(recipes: Recipes, seed: int, cells_per_turn: float, out: NDArray[np.fl
         length=strands.length,
         hand=strands.hand,
         twists=strands.twists,
-        wound_radius=np.where(winds, wound_radius, np.nan),
-        wound_wavelength=np.where(winds, wound_wavelength, np.nan),
+        lower_radius=lower_radius,
+        lower_wavelength=lower_wavelength,
         arc=arc_lengths(canonical.points, canonical.offsets),
         turns=turns,
-        straightened=winds,
-        position=np.stack([begin / grids, (begin + cells) / grids], axis=1),
+        straightened=canonical.found,
+        position=position,
     )
+
+
+def on_grids(
+    canonical: Straightened,
+    turns: NDArray[np.float64],
+    cells_per_turn: float,
+    share: NDArray[np.float64],
+    out: NDArray[np.float32],
+) -> NDArray[np.float64]:
+    """Fill ``out`` (S, L, 3) with signals; return the part [t0, t1] (S, 2) of its strand that each covers.
+
+    A strand of more turns (S,) than L cells can hold is put on a finer grid; ``share`` (S,) in [0, 1) says which
+    stretch of it is taken.
+    """
+    cells = out.shape[1]
+    grids = np.maximum(cells, np.ceil(turns * cells_per_turn).astype(np.int64))
+    starts = offsets_of(grids)
+    values = signals(canonical.points, canonical.offsets, starts)
+    begin = np.minimum((share * (grids - cells + 1)).astype(np.int64), grids - cells)
+    out[:] = values[(starts[:-1] + begin)[:, None] + np.arange(cells)]
+    # v is per t of the whole strand: per t of the stretch it is less.
+    out[:, :, 2] *= (cells / grids)[:, None]
+    return np.stack([begin / grids, (begin + cells) / grids], axis=1)
+
+
+def lower_begin(position: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Where the lower part (S,) of signals begins that cover the parts [t0, t1] (S, 2) of their strands."""
+    return position[:, 1] - LOWER_PART * (position[:, 1] - position[:, 0])

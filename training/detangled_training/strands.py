@@ -7,7 +7,7 @@ twist turns everything downstream rigidly about the segment before it.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, fields
 from itertools import pairwise
 
 import numpy as np
@@ -30,6 +30,7 @@ MOST_LINEAR = 0.6
 SMOOTH_DEVIATION = 0.12  # of the logarithm, in each of so many half-waves; above 0.3 a short strand may not exist
 SMOOTH_WAVES = 3
 KNOTS = 9  # of a profile: four between the zeros of the shortest half-wave
+SHARES = 64  # of a strand's arc that its characteristic radius and wavelength are means of
 UNTYPED = -1  # type of a strand that was asked by its numbers
 
 _WHERE = 1  # tells the stream that places the twists from the one that the strand's numbers are drawn from
@@ -56,6 +57,10 @@ class Recipes:
 
     def __len__(self) -> int:
         return len(self.number)
+
+    def select(self, chosen: NDArray[np.int64]) -> Recipes:
+        """Those of some strands."""
+        return Recipes(**{field.name: getattr(self, field.name)[chosen] for field in fields(self)})
 
     @classmethod
     def asked(
@@ -232,6 +237,25 @@ def procedural_strands(count: int, seed: int, first: int = 0, kinds: ArrayLike |
     return make_strands(draw_recipes(count, seed, first, kinds), seed)
 
 
+def characteristic(
+    recipes: Recipes, begin: NDArray[np.float64], end: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Radius and wavelength (S,) [cm] that characterise strands, untwisted, from ``begin`` to ``end`` (S,) of the arc.
+
+    The mean radius, and the axis' length per turn.
+    """
+    radius, wavelength = (_along_all(knots, begin, end) for knots in (recipes.radius, recipes.wavelength))
+    return helix_means(radius, wavelength)
+
+
+def helix_means(
+    radius: NDArray[np.float64], wavelength: NDArray[np.float64]
+) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """The mean radius (S,) of local ones (S, N) at even steps of arc, and the axis' length per turn (S,), [cm]."""
+    fall = wavelength / arc_of_a_turn(radius, wavelength)
+    return radius.mean(axis=1), fall.sum(axis=1) / (fall / wavelength).sum(axis=1)
+
+
 def _twist_points(rng: np.random.Generator, segments: int, before: int, twists: int, outer: int) -> NDArray[np.int64]:
     """Increasing indices of the points that twist: ``twists`` inside the body, ``outer`` in each margin."""
     parts = [before + 1 + rng.choice(segments - 1, twists, replace=False)]
@@ -254,6 +278,16 @@ def _along(knots: NDArray[np.float64], share: float) -> tuple[float, float]:
     value = low + u * (left + u * (3.0 * (high - low) - 2.0 * left - right + u * (left + right - 2.0 * (high - low))))
     slope = left + u * (2.0 * (3.0 * (high - low) - 2.0 * left - right) + 3.0 * u * (left + right - 2.0 * (high - low)))
     return value, slope * last
+
+
+@parallel_kernel
+def _along_all(knots: NDArray[np.float64], begin: NDArray[np.float64], end: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Values (S, SHARES) of curves through knots (S, K), in the middles of even steps from begin to end (S,)."""
+    out = np.empty((knots.shape[0], SHARES))
+    for s in prange(knots.shape[0]):
+        for i in range(SHARES):
+            out[s, i] = _along(knots[s], begin[s] + (end[s] - begin[s]) * (i + 0.5) / SHARES)[0]
+    return out
 
 
 @kernel

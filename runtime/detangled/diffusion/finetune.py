@@ -23,6 +23,10 @@ MIRRORED_FROM = 0.1  # share of the strands that curl the rarer way
 FEWEST_TO_HOLD_OUT = 6
 HELD_OUT_SHARE = 6  # one strand in so many is held out, to see when to stop
 EVALUATED_BATCHES = 4
+LEAST_RATE = 0.02  # of the learning rate, at the end of its cosine
+# A new strand may be longer than those shown: so often they pass for a part of one, at the least such a share of it.
+PART_OF_LONGER = 0.5
+LEAST_PART = 0.05
 
 # (steps done, of at most how many, loss)
 StepProgress = Callable[[int, int, float], object]
@@ -78,10 +82,10 @@ def fine_tune(
     if min((strand.shape[1] for strand in strands), default=0) < step_model.cells:
         raise TextureError(f"each strand to learn from must have {step_model.cells} cells or more")
     options = options or FineTuning()
-    trainer = _Trainer(step_model, start, options, min(threads, MOST_THREADS))
     shown, held_out = _split(strands, options.seed)
     mirror = whitening if curl_both_ways(strands, whitening) else None
     most = options.most_steps if held_out else options.few_steps
+    trainer = _Trainer(step_model, start, options, most, min(threads, MOST_THREADS))
     draws = [
         draw_windows(held_out, step_model, np.random.default_rng([options.seed, 1, k]), mirror)
         for k in range(EVALUATED_BATCHES if held_out else 0)
@@ -115,9 +119,10 @@ def fine_tune(
 class _Trainer:
     """Weights in training, the optimiser's moments and the weights' running mean, all (P,) float32."""
 
-    def __init__(self, model: Model, start: NDArray[np.float16], options: FineTuning, threads: int) -> None:
+    def __init__(self, model: Model, start: NDArray[np.float16], options: FineTuning, most: int, threads: int) -> None:
         self._session = model.session(threads)
         self._options = options
+        self._most = most
         self.weights = start.astype(np.float32)
         self.first_moment = np.zeros_like(self.weights)
         self.second_moment = np.zeros_like(self.weights)
@@ -125,7 +130,9 @@ class _Trainer:
 
     def train(self, batch: dict[str, NDArray[np.float32]], step: int) -> float:
         """One step, counted from 1; the loss before it."""
-        rate = self._options.learning_rate * min(1.0, step / max(self._options.warm_up, 1))
+        rise = min(1.0, step / max(self._options.warm_up, 1))
+        fall = 0.5 * (1.0 + np.cos(np.pi * (step - 1) / self._most))
+        rate = self._options.learning_rate * rise * (LEAST_RATE + (1.0 - LEAST_RATE) * fall)
         self.weights, self.first_moment, self.second_moment, loss = self._run(self.weights, batch, step, rate)
         # Early means would remember the start for long.
         keep = min(self._options.average, (1.0 + step) / (10.0 + step))
@@ -168,6 +175,8 @@ def draw_windows(
         first = int(rng.integers(strand.shape[1] - cells + 1))
         clean[k] = strand[:, first : first + cells]
         position[k] = (first + np.arange(cells) + 0.5) / strand.shape[1]
+    share = np.where(rng.uniform(size=size) < PART_OF_LONGER, LEAST_PART ** rng.uniform(size=size), 1.0)[:, None]
+    position = rng.uniform(size=(size, 1)) * (1.0 - share) + share * position
     if mirror is not None:
         turned = rng.uniform(size=size) < 0.5
         clean[turned] = mirror.mirrored(clean[turned])

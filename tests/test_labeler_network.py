@@ -1,0 +1,559 @@
+"""The labelers' networks, the LSTM as loops of ours, and both exported graphs: against torch, or a closed form."""
+
+from __future__ import annotations
+
+import hashlib
+import json
+import math
+from collections.abc import Iterator
+from pathlib import Path
+from typing import Any
+
+import numpy as np
+import pytest
+from numpy.typing import NDArray
+
+torch = pytest.importorskip("torch")
+onnx = pytest.importorskip("onnx")
+onnxruntime = pytest.importorskip("onnxruntime")
+
+from torch.fx.experimental.proxy_tensor import make_fx  # noqa: E402
+
+from detangled.errors import ModelError, WriteError  # noqa: E402
+from detangled.labeling import CELLS, LOWER_PART  # noqa: E402
+from detangled.models import LABELER, LABELER_GRADIENT, load_labeler  # noqa: E402
+from detangled.texture import HAIR_TYPES, HairType  # noqa: E402
+from detangled_training import labeler_export, onnx_files  # noqa: E402
+from detangled_training.labeler import (  # noqa: E402
+    LEAST_RATE,
+    LOW_PASS_CELLS,
+    LOWER_FROM,
+    SPREAD,
+    UPPER,
+    Labeler,
+    LabelerSizes,
+    bends,
+    gaussian_matrix,
+    undisturbed,
+)
+from detangled_training.labeler_export import (  # noqa: E402
+    export_labelers,
+    gradient_graph,
+    labeler_graph,
+    labelers,
+    random_signals,
+    stacked,
+    with_gradient,
+)
+from detangled_training.onnx_files import serialized, write_model  # noqa: E402
+from detangled_training.onnx_translation import Translator  # noqa: E402
+from detangled_training.recurrence import BidirectionalLSTM, lstm, lstm_backward  # noqa: E402
+
+TINY = LabelerSizes(lstm_width=4, encoder_width=8, layers=1, heads=2, feed_forward=8)
+BATCH = 4
+LOW_PASS = gaussian_matrix(CELLS, LOW_PASS_CELLS)
+FLOAT32 = 1e-5  # of sums of some hundred numbers about one, relative
+# Of a signal's largest: torch's own gradients of float32 and of float64 are as far apart, for weights that are taken
+# anew three times.
+GRADIENT = 1e-3
+REPORT = {"commit": "abc", "scores": {"all": {"radius_median": 0.03}}}
+
+
+def tiny_labeler(seed: int = 0) -> Labeler:
+    """Labelers none of whose parameters is zero, as trained ones, with nothing that drops out."""
+    torch.manual_seed(seed)
+    network = Labeler(TINY)
+    with torch.no_grad():
+        for parameter in network.parameters():
+            parameter += 0.2 * torch.randn_like(parameter)
+    return network.eval().requires_grad_(False)
+
+
+def untrained(factor: float = 1.0) -> Labeler:
+    """Labelers whose last layer has no weights, so that the factor on the torsion is the same for every strand."""
+    torch.manual_seed(0)
+    network = Labeler(TINY).eval().requires_grad_(False)
+    for last in (network.torsion.share, network.torsion.head[-1]):
+        last.weight.zero_()
+    network.torsion.head[-1].bias.fill_(math.log(factor))
+    return network
+
+
+def helix_signals(radius: float, wavelength: float, turns: float = 10.0, hand: float = 1.0) -> Any:
+    """The signal (1, CELLS, 3) of an untwisted helix, by the helix equations."""
+    per_radian = wavelength / (2.0 * math.pi)
+    total = radius**2 + per_radian**2
+    values = torch.empty(1, CELLS, 3)
+    values[:, :, 0], values[:, :, 1] = radius / total, hand * per_radian / total
+    values[:, :, 2] = turns * 2.0 * math.pi * math.sqrt(total)
+    return values
+
+
+def signals(count: int, seed: int) -> Any:
+    return torch.from_numpy(random_signals(count, seed))
+
+
+def session(model: Path | bytes) -> Any:
+    return onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
+
+
+@pytest.fixture(scope="module", autouse=True)
+def one_thread() -> Iterator[None]:
+    """On a busy machine several wait for each other, hundreds of times longer than they work on what is tiny."""
+    threads = torch.get_num_threads()
+    torch.set_num_threads(1)
+    yield
+    torch.set_num_threads(threads)
+
+
+@pytest.fixture(scope="module")
+def checkpoint(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """What a finished training leaves, as far as an export reads it."""
+    path: Path = tmp_path_factory.mktemp("labelers") / "labelers.pt"
+    sizes = {name: getattr(TINY, name) for name in TINY.__dataclass_fields__}
+    torch.save(
+        {
+            "options": {"sizes": sizes},
+            "network": tiny_labeler().state_dict(),
+            "optimizer": None,
+            "stage": 4,
+            "step": 0,
+            "seconds": 1.0,
+            "history": [],
+            "report": REPORT,
+        },
+        path,
+    )
+    return path
+
+
+@pytest.fixture(scope="module")
+def exported(checkpoint: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
+    folder: Path = tmp_path_factory.mktemp("models")
+    export_labelers(checkpoint, folder, BATCH)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def rounded(checkpoint: Path) -> Labeler:
+    """The network that is shipped: its weights are those of float16."""
+    return labelers(torch.load(checkpoint, weights_only=True))
+
+
+# ---- the LSTM as operations of ours
+
+
+def both_lstms(given: int, width: int) -> tuple[BidirectionalLSTM, BidirectionalLSTM]:
+    torch.manual_seed(1)
+    own, ours = BidirectionalLSTM(given, width).double(), BidirectionalLSTM(given, width).double()
+    ours.load_state_dict(own.state_dict())
+    ours.traceable = True
+    return own, ours
+
+
+@pytest.mark.parametrize(("batch", "steps", "given", "width"), [(3, 7, 5, 4), (1, 1, 2, 3), (2, 40, 6, 1)])
+def test_the_traceable_lstm_equals_torch_in_values_and_all_gradients(
+    batch: int, steps: int, given: int, width: int
+) -> None:
+    own, ours = both_lstms(given, width)
+    x = [torch.randn(batch, steps, given, dtype=torch.float64).requires_grad_()]
+    x.append(x[0].detach().clone().requires_grad_())
+    wanted, found = own(x[0]), ours(x[1])
+    assert found.shape == (batch, steps, 2 * width)
+    torch.testing.assert_close(found, wanted, rtol=0, atol=1e-12)
+    direction = torch.randn_like(wanted)
+    (wanted * direction).sum().backward()
+    (found * direction).sum().backward()
+    torch.testing.assert_close(x[1].grad, x[0].grad, rtol=0, atol=1e-11)
+    theirs = dict(own.named_parameters())
+    assert len(theirs) == 8
+    for name, parameter in ours.named_parameters():
+        assert parameter.grad is not None, name
+        assert theirs[name].grad.abs().max() > 0.0 or steps == 1
+        torch.testing.assert_close(parameter.grad, theirs[name].grad, rtol=0, atol=1e-11, msg=name)
+
+
+def test_the_operations_gradients_are_central_differences() -> None:
+    torch.manual_seed(2)
+    gates = torch.randn(5, 2, 12, dtype=torch.float64, requires_grad=True)
+    weight = torch.randn(3, 12, dtype=torch.float64, requires_grad=True)
+    assert torch.autograd.gradcheck(lambda g, w: lstm(g, w)[0], (gates, weight))
+
+
+def loop(function: Any, given: tuple[Any, ...], names: list[str], outputs: list[str]) -> Any:
+    """A session of a traced function of some tensors."""
+    translator = Translator(make_fx(function)(*given))
+    translator.run(names, outputs)
+    with torch.no_grad():
+        made = function(*given)
+    inputs = {name: list(x.shape) for name, x in zip(names, given, strict=True)}
+    shapes = {name: list(x.shape) for name, x in zip(outputs, made, strict=True)}
+    model = serialized("loop", translator, inputs, shapes, [])
+    assert [node.op_type for node in onnx.load_from_string(model).graph.node].count("Scan") == 1
+    return session(model)
+
+
+@pytest.mark.parametrize("steps", [1, 2, 9])
+def test_the_loops_of_onnx_are_those_operations(steps: int) -> None:
+    torch.manual_seed(3)
+    batch, width = 3, 4
+    gates, weight = torch.randn(steps, batch, 4 * width), torch.randn(width, 4 * width)
+    names = ["hidden", "cells", "opened"]
+    onward = loop(lambda g, w: lstm(g, w), (gates, weight), ["gates", "weight"], names)
+    other = torch.randn_like(gates)
+    wanted = [x.numpy() for x in lstm(other, weight)]
+    for found, true in zip(onward.run(None, {"gates": other.numpy(), "weight": weight.numpy()}), wanted, strict=True):
+        np.testing.assert_allclose(found, true, rtol=0, atol=1e-6)
+
+    gradient, cells, opened = torch.randn(steps, batch, width), *map(torch.from_numpy, wanted[1:])
+    given = (gradient, cells, opened, weight)
+    names = ["gradient", "cells", "opened", "weight"]
+    back = loop(lambda *x: (lstm_backward(*x),), given, names, ["by_gates"])
+    (found,) = back.run(None, {name: x.numpy() for name, x in zip(names, given, strict=True)})
+    np.testing.assert_allclose(found, lstm_backward(*given).numpy(), rtol=0, atol=1e-6)
+
+
+# ---- what needs no network
+
+
+@pytest.mark.parametrize("hand", [1.0, -1.0])
+@pytest.mark.parametrize("kind", HAIR_TYPES, ids=lambda kind: kind.name)
+def test_an_untwisted_helix_gives_its_radius_and_wavelength_back(kind: HairType, hand: float) -> None:
+    radius, wavelength = kind.radius.mean, kind.wavelength.mean
+    given = helix_signals(radius, wavelength, hand=hand)
+    found = untrained()(given)
+    # The torsion is kept from zero by a little of the curvature, which counts only where it is all there is.
+    kappa, tau = float(given[0, 0, 0]), abs(float(given[0, 0, 1]))
+    floor = math.hypot(1.0, 0.02 * kappa / tau)
+    assert float(found.kappa) == pytest.approx(kappa, rel=FLOAT32)
+    assert float(found.tau) == pytest.approx(floor * tau, rel=FLOAT32)
+    assert float(found.radius) == pytest.approx(radius, rel=2e-3)
+    assert float(found.wavelength) == pytest.approx(wavelength, rel=2e-3)
+    assert float(found.radius) == pytest.approx(kappa / (kappa**2 + (floor * tau) ** 2), rel=FLOAT32)
+
+
+@pytest.mark.parametrize("factor", [0.5, 1.0, 1.7])
+def test_the_network_says_a_factor_on_the_torsion(factor: float) -> None:
+    given = helix_signals(0.42, 1.25)
+    kappa, tau = float(given[0, 0, 0]), factor * math.hypot(float(given[0, 0, 1]), 0.02 * float(given[0, 0, 0]))
+    found = untrained(factor)(given)
+    assert float(found.tau) == pytest.approx(tau, rel=FLOAT32)
+    assert float(found.radius) == pytest.approx(kappa / (kappa**2 + tau**2), rel=FLOAT32)
+    assert float(found.wavelength) == pytest.approx(2.0 * math.pi * tau / (kappa**2 + tau**2), rel=FLOAT32)
+
+
+def test_before_training_torsion_is_the_mean_of_the_cells_that_are_disturbed_least() -> None:
+    """Of the lower section, but for a twentieth that a cell above it counts; so training begins at a fair guess."""
+    given = signals(32, seed=7)
+    torch.manual_seed(5)
+    network = Labeler(TINY).eval().requires_grad_(False)
+    network.torsion.head[-1].bias.zero_()
+    tau = given[:, :, 1].double()
+    off = (tau - undisturbed(tau, LOW_PASS.double())).abs()
+    share = 1.0 / (off / (off.mean(dim=1, keepdim=True) + LEAST_RATE * SPREAD) + SPREAD)
+    share[:, :LOWER_FROM] *= math.exp(UPPER)
+    plain = (share * tau).sum(dim=1) / share.sum(dim=1)
+    found = network(given)
+    wanted = torch.hypot(plain.float(), 0.02 * found.kappa)
+    # Where hardly a cell is disturbed, how the least of it counts is a matter of rounding.
+    torch.testing.assert_close(found.tau, wanted, rtol=0.02, atol=0.0)
+    # A plain mean of the section is further from where most of the cells are.
+    usual = given[:, LOWER_FROM:, 1].median(dim=1).values.abs()
+    mean = given[:, LOWER_FROM:, 1].mean(dim=1).abs()
+    clear = usual > 0.1 * found.kappa
+    assert float((found.tau / usual - 1.0).abs()[clear].median()) < 0.5 * float(
+        (mean / usual - 1.0).abs()[clear].median()
+    )
+
+
+def test_the_lower_section_is_what_is_read() -> None:
+    assert round(LOWER_PART * CELLS) == CELLS - LOWER_FROM
+    above, below = helix_signals(0.3, 3.0), helix_signals(0.6, 2.0)
+    step = above.clone()
+    step[:, CELLS // 3 :] = below[:, CELLS // 3 :]
+    network = untrained()
+    found, wanted = network(step), network(below)
+    # The low frequencies reach a sixteenth of the length across where the strand changes.
+    for name in ("kappa", "radius", "wavelength"):
+        assert float(getattr(found, name)) == pytest.approx(float(getattr(wanted, name)), rel=0.03), name
+    turned = above.clone()
+    turned[:, : CELLS // 3] = below[:, : CELLS // 3]
+    assert float(network(turned).kappa) == pytest.approx(float(network(above).kappa), rel=0.03)
+
+
+def test_the_characteristic_curvature_is_the_mean_of_the_low_frequencies_of_the_lower_section() -> None:
+    x = torch.rand(3, CELLS) + 0.5
+    made = bends(x, LOW_PASS)
+    torch.testing.assert_close(made.low, undisturbed(x, LOW_PASS))
+    torch.testing.assert_close(made.kappa, made.low[:, LOWER_FROM:].mean(dim=1))
+    assert float(bends(torch.zeros(1, CELLS), LOW_PASS).kappa) == pytest.approx(1e-3)
+
+
+@pytest.mark.parametrize("size", [10.0, -0.9])
+def test_the_low_frequencies_hardly_move_where_single_cells_spike(size: float) -> None:
+    """A twist is a cell or two; a mean over the section would move by their share, 20 % and more here."""
+    rng = np.random.default_rng(4)
+    at = torch.linspace(0.0, 1.0, CELLS)
+    smooth = (2.0 * (1.0 + 0.3 * at))[None]
+    spiked = smooth.clone()
+    where = rng.choice(np.arange(CELLS), 12, replace=False)
+    spiked[:, where] *= 1.0 + size
+    assert float((bends(spiked, LOW_PASS).kappa / bends(smooth, LOW_PASS).kappa - 1.0).abs()) < 0.01
+    off = (undisturbed(spiked, LOW_PASS) / undisturbed(smooth, LOW_PASS) - 1.0).abs()
+    assert float(off.max()) < 0.06
+    plain = spiked[:, LOWER_FROM:].mean() / smooth[:, LOWER_FROM:].mean() - 1.0
+    assert float(plain.abs()) > 0.03
+
+
+def test_cells_that_spike_count_less_and_the_steady_ones_alike() -> None:
+    x = torch.full((1, CELLS), 2.0)
+    x[0, 100] = 9.0
+    weight = bends(x, LOW_PASS).weight[0]
+    assert set(torch.topk(-weight, 3).indices.tolist()) == {99, 100, 101}
+    assert float(weight[100]) < 0.02
+    assert float(weight[130:].min()) > 10.0 * float(weight[100])
+    torch.testing.assert_close(weight[130:], weight[130:].mean().expand(CELLS - 130), rtol=0.1, atol=0.0)
+    steady = bends(torch.full((1, CELLS), 2.0), LOW_PASS).weight
+    torch.testing.assert_close(steady, steady.mean().expand(1, CELLS), rtol=0.01, atol=0.0)
+
+
+# ---- the networks
+
+
+@pytest.mark.parametrize("scale", [10.0, 0.1])
+def test_hair_ten_times_as_large_has_ten_times_the_radius_and_wavelength(scale: float) -> None:
+    """With the twist known: how many twists are natural depends on size, how torsion follows from shape does not."""
+    network, given = tiny_labeler(), signals(16, seed=1)
+    twist = torch.linspace(0.0, 1.0, 16)
+    larger = given * torch.tensor([1.0 / scale, 1.0 / scale, scale])
+    found, wanted = network.helix(larger, twist), network.helix(given, twist)
+    # Up to the least rates, which are of hair and do not scale.
+    torch.testing.assert_close(found.radius, scale * wanted.radius, rtol=0.01, atol=0.0)
+    torch.testing.assert_close(found.wavelength, scale * wanted.wavelength, rtol=0.01, atol=0.0)
+
+
+def test_a_mirrored_strand_has_the_same_radius_and_wavelength() -> None:
+    network, given = tiny_labeler(), signals(16, seed=2)
+    twist = torch.linspace(0.0, 1.0, 16)
+    mirrored = given * torch.tensor([1.0, -1.0, 1.0])
+    found, wanted = network.helix(mirrored, twist), network.helix(given, twist)
+    torch.testing.assert_close(found.radius, wanted.radius, rtol=FLOAT32, atol=0.0)
+    torch.testing.assert_close(found.wavelength, wanted.wavelength, rtol=FLOAT32, atol=0.0)
+
+
+@pytest.mark.parametrize("name", ["kappa", "tau", "v"])
+def test_twist_is_a_share_and_every_channel_counts(name: str) -> None:
+    network, given = tiny_labeler(), signals(8, seed=3)
+    twist = network(given).twist
+    assert twist.shape == (8,)
+    assert float(twist.min()) >= 0.0
+    assert float(twist.max()) <= 1.0
+    changed = given.clone()
+    changed[:, :, ["kappa", "tau", "v"].index(name)] *= 1.5
+    assert float((network(changed).twist - twist).abs().max()) > 1e-4
+
+
+def test_what_is_told_of_a_strand_does_not_depend_on_the_others() -> None:
+    network, given = tiny_labeler(), signals(6, seed=4)
+    together = torch.stack(network(given))
+    alone = torch.cat([torch.stack(network(given[k : k + 1])) for k in range(6)], dim=1)
+    torch.testing.assert_close(together, alone, rtol=FLOAT32, atol=1e-6)
+    assert torch.isfinite(together).all()
+
+
+def test_the_torsion_depends_on_the_twist_and_on_what_is_above() -> None:
+    network, given = tiny_labeler(), signals(8, seed=5)
+    without, with_all = (network.helix(given, torch.full((8,), twist)).tau for twist in (0.0, 1.0))
+    assert float((without / with_all - 1.0).abs().max()) > 1e-3
+    above = given.clone()
+    above[:, : CELLS // 8] *= torch.tensor([2.0, 1.0, 1.0])
+    assert float((network.helix(above, torch.zeros(8)).tau / without - 1.0).abs().max()) > 1e-3
+
+
+# ---- gradients
+
+
+def test_gradients_in_torch_are_central_differences() -> None:
+    network = tiny_labeler().double()
+    network.twist.lstm.traceable = True
+    given = signals(2, seed=6).double()
+    weights = torch.tensor([[1.0, 0.3, 2.0], [-0.5, 1.0, 1.0]], dtype=torch.float64)
+    _, gradient = with_gradient(network, given, weights)
+    torch.manual_seed(0)
+    for channel in range(3):
+        direction = torch.zeros_like(given)
+        direction[:, :, channel] = torch.randn(2, CELLS, dtype=torch.float64) * given[:, :, channel]
+        step = 1e-6
+        sums = [(stacked(network, given + way * step * direction) * weights).sum() for way in (1.0, -1.0)]
+        assert float((sums[0] - sums[1]) / (2.0 * step)) == pytest.approx(
+            float((gradient * direction).sum()), rel=1e-5, abs=1e-9
+        )
+
+
+def relative(values: NDArray[Any], wanted: NDArray[Any]) -> float:
+    """The largest difference beside each signal's own size."""
+    size = np.abs(wanted).reshape(len(wanted), -1).max(axis=1)
+    return float((np.abs(values - wanted).reshape(len(wanted), -1).max(axis=1) / size).max())
+
+
+@pytest.mark.parametrize("seed", [11, 12, 13])
+def test_exported_labels_and_gradients_equal_torch(exported: Path, rounded: Labeler, seed: int) -> None:
+    values = random_signals(BATCH, seed)
+    weights = np.random.default_rng(seed).standard_normal((BATCH, 3)).astype(np.float32)
+    wanted, gradient = with_gradient(rounded, torch.from_numpy(values), torch.from_numpy(weights))
+    (labels,) = session(exported / "labeler.onnx").run(None, {"signals": values})
+    np.testing.assert_allclose(labels, wanted.numpy(), rtol=1e-5, atol=1e-6)
+    again, found = session(exported / "labeler_gradient.onnx").run(None, {"signals": values, "weights": weights})
+    np.testing.assert_allclose(again, wanted.numpy(), rtol=1e-5, atol=1e-6)
+    assert found.shape == values.shape
+    assert relative(found, gradient.numpy()) < GRADIENT
+
+
+def test_an_exported_gradient_says_how_the_exported_labels_change(exported: Path) -> None:
+    """Differences of float32: along its own direction, where the sum changes most, and each signal by itself."""
+    model = session(exported / "labeler_gradient.onnx")
+    values = random_signals(BATCH, 22)
+    labels, _ = model.run(None, {"signals": values, "weights": np.ones((BATCH, 3), np.float32)})
+    weights = (1.0 / np.maximum(np.abs(labels), 1e-3)).astype(np.float32)
+    _, gradient = model.run(None, {"signals": values, "weights": weights})
+    gradient = gradient.astype(np.float64)
+    slope = (gradient**2).sum(axis=(1, 2))
+
+    def change(step: float) -> NDArray[np.float64]:
+        """The central difference of each weighted sum over a step that should change it by so much."""
+        sums = []
+        for way in (0.5, -0.5):
+            moved = values + (way * step * gradient / slope[:, None, None])
+            (told, _) = model.run(None, {"signals": moved.astype(np.float32), "weights": weights})
+            sums.append((told.astype(np.float64) * weights).sum(axis=1))
+        return np.asarray(sums[0] - sums[1]) / step
+
+    # Below, float32 rounds the sums; above, what was left out as disturbed begins to change.
+    np.testing.assert_allclose(change(0.003), 1.0, rtol=2e-3)
+
+
+# ---- what is written
+
+
+def test_the_same_network_gives_the_same_bytes(exported: Path, rounded: Labeler) -> None:
+    assert labeler_graph(rounded, BATCH) == (exported / "labeler.onnx").read_bytes()
+    assert gradient_graph(rounded, BATCH) == (exported / "labeler_gradient.onnx").read_bytes()
+
+
+def test_what_is_exported_has_weights_of_float16_and_the_training_goes_on_with_its_own(
+    checkpoint: Path, rounded: Labeler
+) -> None:
+    for name, parameter in rounded.named_parameters():
+        torch.testing.assert_close(parameter, tiny_labeler().get_parameter(name).half().float(), rtol=0, atol=0)
+    stored = torch.load(checkpoint, weights_only=True)
+    assert any(not torch.equal(x, x.half().float()) for x in stored["network"].values())
+    assert not rounded.training
+    assert not rounded.twist.lstm.traceable
+
+
+def test_manifests_say_what_a_runtime_needs(exported: Path) -> None:
+    parameters = sum(parameter.numel() for parameter in tiny_labeler().parameters())
+    for name, kind in (("labeler", LABELER), ("labeler_gradient", LABELER_GRADIENT)):
+        manifest = json.loads((exported / f"{name}.json").read_text(encoding="utf-8"))
+        assert (manifest["format"], manifest["version"], manifest["kind"]) == ("detangled model", 1, kind)
+        assert manifest["sha256"] == hashlib.sha256((exported / f"{name}.onnx").read_bytes()).hexdigest()
+        assert (manifest["parameters"], manifest["cells"], manifest["batch"]) == (parameters, CELLS, BATCH)
+        assert LabelerSizes(**manifest["architecture"]) == TINY
+        assert (manifest["opset"], manifest["training"]) == (onnx_files.OPSET, REPORT)
+        model = load_labeler(kind, exported)
+        assert (model.kind, model.batch, model.cells, model.parameters) == (kind, BATCH, CELLS, parameters)
+        assert model.training == REPORT
+        assert model.data == (exported / f"{name}.onnx").read_bytes()
+    names = ["labeler.json", "labeler.onnx", "labeler_gradient.json", "labeler_gradient.onnx"]
+    assert sorted(path.name for path in exported.iterdir()) == names
+
+
+@pytest.mark.parametrize("kind", [LABELER, LABELER_GRADIENT])
+def test_a_flipped_bit_is_found(exported: Path, tmp_path: Path, kind: str) -> None:
+    for path in exported.iterdir():
+        (tmp_path / path.name).write_bytes(path.read_bytes())
+    path = load_labeler(kind, tmp_path).path
+    data = path.read_bytes()
+    for at in (0, len(data) // 2, len(data) - 1):
+        path.write_bytes(data[:at] + bytes([data[at] ^ 1]) + data[at + 1 :])
+        with pytest.raises(ModelError, match="its bytes are not those"):
+            load_labeler(kind, tmp_path)
+
+
+def test_one_kind_is_not_taken_for_the_other(exported: Path, tmp_path: Path) -> None:
+    for suffix in (".onnx", ".json"):
+        (tmp_path / f"labeler{suffix}").write_bytes((exported / f"labeler_gradient{suffix}").read_bytes())
+    with pytest.raises(ModelError, match="a labeler gradient, not a labeler"):
+        load_labeler(LABELER, tmp_path)
+
+
+def test_an_export_that_is_off_is_refused_by_its_difference(
+    checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    whole = labeler_export.labeler_graph
+
+    def off(network: Labeler, batch: int) -> bytes:
+        """The graph of a network that is another by a little."""
+        torch.manual_seed(0)
+        other = Labeler(network.sizes).eval().requires_grad_(False)
+        other.load_state_dict({name: x * (1.0 + 1e-3) for name, x in network.state_dict().items()})
+        return whole(other, batch)
+
+    monkeypatch.setattr(labeler_export, "labeler_graph", off)
+    with pytest.raises(ModelError, match=r"labels by onnxruntime and by torch differ by \d"):
+        export_labelers(checkpoint, tmp_path, BATCH)
+    assert not list(tmp_path.iterdir())
+
+
+def test_a_gradient_that_is_off_is_refused(checkpoint: Path, tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    def flipped(network: Labeler, x: Any, weights: Any) -> tuple[Any, Any]:
+        labels, gradient = with_gradient(network, x, weights)
+        return labels, -gradient
+
+    whole = labeler_export.gradient_graph
+
+    def off(network: Labeler, batch: int) -> bytes:
+        with monkeypatch.context() as patch:
+            patch.setattr(labeler_export, "with_gradient", flipped)
+            return whole(network, batch)
+
+    monkeypatch.setattr(labeler_export, "gradient_graph", off)
+    with pytest.raises(ModelError, match=r"gradient by onnxruntime and by torch differ by \d"):
+        export_labelers(checkpoint, tmp_path, BATCH)
+    assert sorted(path.name for path in tmp_path.iterdir()) == ["labeler.json", "labeler.onnx"]
+
+
+@pytest.mark.parametrize(("error", "raised"), [(ModelError("off"), ModelError), (OSError(28, "full"), WriteError)])
+def test_a_model_that_fails_its_check_is_not_written_and_the_old_one_stays(
+    tmp_path: Path, error: Exception, raised: type[Exception]
+) -> None:
+    def refuse(path: Path) -> float:
+        assert path.read_bytes() == b"new"
+        raise error
+
+    with pytest.raises(raised):
+        write_model(tmp_path / "model.onnx", b"new", {"kind": "any"}, refuse)
+    assert not list(tmp_path.iterdir())
+    old = write_model(tmp_path / "model.onnx", b"old", {"kind": "any"}, lambda path: 0.5)
+    assert (old.difference, old.manifest) == (0.5, tmp_path / "model.json")
+    before = {path.name: path.read_bytes() for path in tmp_path.iterdir()}
+    assert sorted(before) == ["model.json", "model.onnx"]
+    with pytest.raises(raised):
+        write_model(tmp_path / "model.onnx", b"new", {"kind": "any"}, refuse)
+    assert {path.name: path.read_bytes() for path in tmp_path.iterdir()} == before
+
+
+@pytest.mark.parametrize("change", ["sizes", "weights", "no options"])
+def test_a_checkpoint_of_another_network_is_one_line(checkpoint: Path, tmp_path: Path, change: str) -> None:
+    stored = torch.load(checkpoint, weights_only=True)
+    if change == "sizes":
+        stored["options"]["sizes"]["lstm_width"] = 5
+    elif change == "weights":
+        stored["network"].popitem()
+    else:
+        del stored["options"]
+    path = tmp_path / "labelers.pt"
+    torch.save(stored, path)
+    with pytest.raises(ModelError, match="another version, or damaged"):
+        export_labelers(path, tmp_path / "models", BATCH)
+    assert not list((tmp_path / "models").iterdir())

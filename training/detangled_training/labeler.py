@@ -1,0 +1,235 @@
+"""The labelers: radius, wavelength and twist prevalence of a strand from its kappa, tau and v.
+
+Paper section "Inferencing texture parameters". A bidirectional LSTM with attention tells the twist prevalence; a
+transformer encoder tells the torsion that characterises the lower section, from channels that say where twists disturb
+it least; the curvature that characterises it is what low frequencies leave; the helix equations give the rest.
+
+Bahdanau et al. 2016 (attention), Vaswani et al. 2017 (encoder), Xiong et al. 2020 (normalisation before each layer).
+"""
+
+from __future__ import annotations
+
+import math
+from dataclasses import dataclass
+from typing import NamedTuple
+
+import torch
+from torch import Tensor, nn
+from torch.nn import functional
+
+from detangled.labeling import CELLS, LOWER_PART
+from detangled_training.recurrence import BidirectionalLSTM
+
+# Low frequencies of curvature: a Gaussian of a sixteenth of the length.
+LOW_PASS_CELLS = CELLS / 16
+# A cell counts less, the further it is from the low frequencies: so many of the mean distance halve its weight. Each
+# pass leaves out what the one before found.
+SPREAD = 0.1
+PASSES = 3
+LOWER_FROM = CELLS - round(LOWER_PART * CELLS)
+
+SMALL_ANGLE = 0.05  # [rad] that a cell bends or twists by, from where on its logarithm counts
+TYPICAL_CELL = 0.08  # [cm]
+LEAST_RATE = 1e-3  # [1/cm]: hair that bends less is straight
+# Disturbances below this part of a signal are rounding: a weight must not turn on their sign.
+ROUNDED = 0.01
+LEAST_SIZE = 1e-5  # [1/cm]
+UPPER = -3.0  # logarithm of how much less a cell above the lower section counts, to begin with
+LEAST_TORSION = 0.02  # of the curvature, so that a torsion of zero has a logarithm
+
+
+@dataclass(frozen=True)
+class LabelerSizes:
+    """Sizes of the networks. Cells go into the LSTM and the encoder several at a time."""
+
+    lstm_width: int = 128
+    lstm_cells: int = 2
+    encoder_width: int = 256
+    encoder_cells: int = 4
+    layers: int = 2
+    heads: int = 4
+    feed_forward: int = 512
+    dropout: float = 0.1
+
+
+class Labels(NamedTuple):
+    """Of each signal (B,): radius, wavelength [cm], twist (T_f), and the curvature and torsion [1/cm] behind them."""
+
+    radius: Tensor
+    wavelength: Tensor
+    twist: Tensor
+    kappa: Tensor
+    tau: Tensor
+
+
+class Labeler(nn.Module):
+    """Both networks, and what needs no network."""
+
+    def __init__(self, sizes: LabelerSizes | None = None) -> None:
+        super().__init__()
+        self.sizes = sizes or LabelerSizes()
+        self.twist = TwistNetwork(self.sizes)
+        self.torsion = TorsionNetwork(self.sizes)
+        self.low_pass: Tensor
+        self.register_buffer("low_pass", gaussian_matrix(CELLS, LOW_PASS_CELLS), persistent=False)
+
+    def forward(self, signals: Tensor) -> Labels:
+        """Labels of signals (B, CELLS, 3) of kappa, tau [1/cm] and v [cm per t]."""
+        twist = self.twist(signals)
+        return self.helix(signals, twist)
+
+    def helix(self, signals: Tensor, twist: Tensor) -> Labels:
+        """Labels of signals whose twist prevalence (B,) is known."""
+        bend = bends(signals[:, :, 0], self.low_pass)
+        tau = self.torsion(signals, bend, twist, self.low_pass)
+        total = bend.kappa**2 + tau**2
+        return Labels(bend.kappa / total, 2.0 * math.pi * tau / total, twist, bend.kappa, tau)
+
+
+class TwistNetwork(nn.Module):
+    """T_f (B,) of signals (B, CELLS, 3)."""
+
+    def __init__(self, sizes: LabelerSizes) -> None:
+        super().__init__()
+        self.cells = sizes.lstm_cells
+        width = 2 * sizes.lstm_width
+        self.lstm = BidirectionalLSTM(3 * sizes.lstm_cells, sizes.lstm_width)
+        self.attention = nn.Sequential(nn.Linear(width, sizes.lstm_width), nn.Tanh(), nn.Linear(sizes.lstm_width, 1))
+        self.head = _head(width, (128, 64), sizes.dropout)
+
+    def forward(self, signals: Tensor) -> Tensor:
+        width = signals[:, :, 2:] / CELLS  # [cm] of a cell
+        angles = torch.asinh(signals[:, :, :2] * width / SMALL_ANGLE)
+        x = torch.cat([angles, torch.log(width / TYPICAL_CELL)], dim=2)
+        hidden = self.lstm(x.reshape(x.shape[0], -1, 3 * self.cells))
+        share = torch.softmax(self.attention(hidden), dim=1)
+        return torch.sigmoid(self.head((share * hidden).sum(dim=1)))[:, 0]
+
+
+class TorsionNetwork(nn.Module):
+    """The characteristic torsion (B,) [1/cm]: a mean over the places that twists disturb least, times a factor.
+
+    The encoder says both: how much each place counts in the mean, and by its mean pooling and the last layers the
+    factor.
+    """
+
+    def __init__(self, sizes: LabelerSizes) -> None:
+        super().__init__()
+        self.cells = sizes.encoder_cells
+        self.embed = nn.Linear(5 * sizes.encoder_cells, sizes.encoder_width)
+        self.place = nn.Parameter(0.02 * torch.randn(CELLS // sizes.encoder_cells, sizes.encoder_width))
+        self.layers = nn.ModuleList(EncoderLayer(sizes) for _ in range(sizes.layers))
+        self.norm = nn.LayerNorm(sizes.encoder_width)
+        self.share = nn.Linear(sizes.encoder_width, 1)
+        self.head = _head(sizes.encoder_width, (256, 128), sizes.dropout)
+        for last in (self.share, self.head[-1]):
+            assert isinstance(last, nn.Linear)
+            nn.init.zeros_(last.weight)
+
+    def forward(self, signals: Tensor, bend: Bends, twist: Tensor, low_pass: Tensor) -> Tensor:
+        tau = signals[:, :, 1]
+        weighted = tau * bend.weight
+        low = undisturbed(tau, low_pass)
+        off = _size(tau - low, tau)
+        scale = bend.kappa[:, None]
+        # Torsion is told of either hand alike: as if the lower section were right-handed.
+        hand = torch.where(low[:, LOWER_FROM:].mean(dim=1) < 0.0, -1.0, 1.0)[:, None]
+        channels = (
+            bend.curvature / scale,
+            bend.low / scale,
+            torch.asinh(hand * tau / scale),
+            torch.asinh(hand * weighted / scale),
+            twist[:, None].expand_as(tau),
+        )
+        x = torch.stack(channels, dim=2)
+        x = self.embed(x.reshape(x.shape[0], -1, 5 * self.cells)) + self.place
+        for layer in self.layers:
+            x = layer(x)
+        x = self.norm(x)
+        # To begin with, cells of the lower section count by how little twists disturb them.
+        start = torch.log(_weight(off)) + torch.where(torch.arange(CELLS, device=x.device) < LOWER_FROM, UPPER, 0.0)
+        logits = self.share(x).expand(-1, -1, self.cells).reshape(x.shape[0], CELLS) + start
+        plain = (torch.softmax(logits, dim=1) * tau).sum(dim=1)
+        factor = torch.exp(self.head(x.mean(dim=1)))[:, 0]
+        return torch.sqrt(plain**2 + (LEAST_TORSION * bend.kappa) ** 2) * factor
+
+
+class EncoderLayer(nn.Module):
+    """Self-attention and two linear maps over tokens (B, N, C), each on what is normalised, and added."""
+
+    def __init__(self, sizes: LabelerSizes) -> None:
+        super().__init__()
+        width = sizes.encoder_width
+        self.heads = sizes.heads
+        self.before_attention, self.before_forward = nn.LayerNorm(width), nn.LayerNorm(width)
+        self.query_key_value = nn.Linear(width, 3 * width)
+        self.out = nn.Linear(width, width)
+        self.widen, self.narrow = nn.Linear(width, sizes.feed_forward), nn.Linear(sizes.feed_forward, width)
+        self.dropout = nn.Dropout(sizes.dropout)
+
+    def forward(self, x: Tensor) -> Tensor:
+        batch, tokens, width = x.shape
+        parts = self.query_key_value(self.before_attention(x)).view(batch, tokens, 3 * self.heads, -1).transpose(1, 2)
+        query, key, value = parts.split(self.heads, dim=1)
+        scores = torch.matmul(query * (width // self.heads) ** -0.5, key.transpose(2, 3))
+        seen = torch.matmul(torch.softmax(scores, dim=-1), value).transpose(1, 2).reshape(batch, tokens, width)
+        x = x + self.dropout(self.out(seen))
+        return x + self.dropout(self.narrow(functional.relu(self.widen(self.before_forward(x)))))
+
+
+class Bends(NamedTuple):
+    """Curvature [1/cm] of signals: itself, its low frequencies, and how little each cell is disturbed, (B, L) each.
+
+    kappa: (B,), what characterises the lower section.
+    """
+
+    curvature: Tensor
+    low: Tensor
+    weight: Tensor
+    kappa: Tensor
+
+
+def bends(curvature: Tensor, low_pass: Tensor) -> Bends:
+    """What curvature (B, L) says of where twists are, and the curvature that characterises the lower section."""
+    low = undisturbed(curvature, low_pass)
+    kappa = low[:, LOWER_FROM:].mean(dim=1).clamp_min(LEAST_RATE)
+    # A twist is where the difference changes suddenly.
+    change = functional.pad(curvature - low, (1, 1))
+    change = _size(change[:, :-2] + change[:, 2:] - 2.0 * change[:, 1:-1], curvature)
+    return Bends(curvature, low, _weight(change), kappa)
+
+
+def undisturbed(x: Tensor, low_pass: Tensor) -> Tensor:
+    """The low frequencies (B, L) of a signal (B, L), of its cells that twists disturb least."""
+    weight = torch.ones_like(x)
+    for _ in range(PASSES):
+        low = torch.matmul(x * weight, low_pass) / torch.matmul(weight, low_pass)
+        weight = _weight(_size(x - low, x))
+    return torch.matmul(x * weight, low_pass) / torch.matmul(weight, low_pass)
+
+
+def _size(x: Tensor, of: Tensor) -> Tensor:
+    """Magnitudes (B, L), smooth where they are next to nothing beside a signal (B, L)."""
+    least = ROUNDED * of.abs().mean(dim=1, keepdim=True) + LEAST_SIZE
+    return torch.sqrt(x * x + least * least)
+
+
+def _weight(disturbance: Tensor) -> Tensor:
+    """Weights (B, L), least where a disturbance (B, L) is greatest beside its mean."""
+    return SPREAD / (disturbance / disturbance.mean(dim=1, keepdim=True) + SPREAD)
+
+
+def gaussian_matrix(cells: int, deviation: float) -> Tensor:
+    """A symmetric matrix (L, L) of Gaussian weights between cells; what is divided by the same of ones is a mean."""
+    at = torch.arange(cells, dtype=torch.float64)
+    return torch.exp(-0.5 * ((at[:, None] - at) / deviation) ** 2).float() / (deviation * math.sqrt(2.0 * math.pi))
+
+
+def _head(given: int, widths: tuple[int, int], dropout: float) -> nn.Sequential:
+    """Three fully connected layers, to one number."""
+    first, second = widths
+    return nn.Sequential(
+        nn.Linear(given, first), nn.ReLU(), nn.Dropout(dropout),
+        nn.Linear(first, second), nn.ReLU(), nn.Dropout(dropout),
+        nn.Linear(second, 1),
+    )  # fmt: skip
