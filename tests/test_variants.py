@@ -169,13 +169,17 @@ def test_fibres_are_told_where_strands_were_hung(made: tuple[VariantOptions, Mad
             for name in FIBRE_COLUMNS:
                 np.testing.assert_array_equal(columns[name][rows], getattr(fibres, name)[0])
     pairs = {(number, thickness) for number, thickness in zip(columns["base"], columns["thickness"], strict=True)}
-    assert len(pairs) == 2 * len(np.unique(columns["base"]))
+    # Another fibre each time; a strand that one of them lets hang straight is left out then.
+    assert 1.5 * len(np.unique(columns["base"])) < len(pairs) <= 2 * len(np.unique(columns["base"]))
 
 
 def test_all_variants_of_a_strand_share_its_number_and_what_it_was_made_of(made: tuple[VariantOptions, Made]) -> None:
     options, (_, columns) = made
     recipes = draw_recipes(COUNT, SEED)
-    assert set(columns["base"]) == set(range(COUNT))
+    left_out = set(range(COUNT)) - set(columns["base"])
+    assert set(columns["base"]) <= set(range(COUNT))
+    assert len(left_out) <= (0.15 * COUNT if options.hung else 0)
+    assert all(recipes.kind[number] <= 1 for number in left_out)  # types I and II alone are pulled straight
     at = columns["base"]
     for name in ("kind", "twist", "length", "hand"):
         np.testing.assert_array_equal(columns[name], getattr(recipes, name)[at])
@@ -183,7 +187,9 @@ def test_all_variants_of_a_strand_share_its_number_and_what_it_was_made_of(made:
     times = np.bincount(at)
     assert times.max() <= 4 * max(options.hung, 1)
     unread = ~columns["read"] & ~columns["stretched"]
-    assert (np.bincount(at[unread]) == max(options.hung, 1)).all()
+    times = np.bincount(at[unread], minlength=COUNT)
+    assert times.max() == max(options.hung, 1)
+    assert (times[recipes.kind > 1] == max(options.hung, 1)).all()
 
 
 def test_what_was_read_says_how_and_the_rest_says_nothing(made: tuple[VariantOptions, Made]) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import json
 import os
 import shutil
 import subprocess
@@ -122,3 +123,13 @@ def test_the_network_learns_and_draws_without_torch(programs: Path, elsewhere: P
     old, new = (read(elsewhere / name, unit="cm") for name in (coily, "out.obj"))
     assert new.strand_count == old.strand_count
     assert np.isfinite(new.points).all()
+
+
+def test_strands_are_read_without_torch(programs: Path, elsewhere: Path) -> None:
+    _, coily = INPUTS
+    cache = str(elsewhere / "cache")
+    done = run(programs / "detangled", "label", coily, "--json", cwd=elsewhere, NUMBA_CACHE_DIR=cache)
+    assert done.returncode == 0, done.stderr
+    facts = json.loads(done.stdout)
+    assert facts["readings"]["read"] == facts["strands"]
+    assert 0.3 < facts["radius_cm"]["median"] < 0.8
