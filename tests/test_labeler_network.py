@@ -554,6 +554,6 @@ def test_a_checkpoint_of_another_network_is_one_line(checkpoint: Path, tmp_path:
         del stored["options"]
     path = tmp_path / "labelers.pt"
     torch.save(stored, path)
-    with pytest.raises(ModelError, match="another version, or damaged|it lacks options"):
+    with pytest.raises(ModelError, match=r"another version, or damaged|it lacks options"):
         export_labelers(path, tmp_path / "models", BATCH)
     assert not list((tmp_path / "models").iterdir())
