@@ -172,7 +172,7 @@ def labelers(
 @threads_option
 @quiet_option
 def export(source: Path, folder: Path, threads: int | None) -> None:
-    """Write a trained denoiser as models that run without torch.
+    """Write trained networks as models that run without torch.
 
     Of a denoiser's checkpoint these are denoiser.onnx and training_step.onnx in DIR, of labelers' labeler.onnx and
     labeler_gradient.onnx, and a .json beside each. All are run beside torch, and not written where they differ from it.
@@ -279,7 +279,7 @@ def _stages(text: str | None) -> tuple[int, ...] | None:
     if text is None:
         return None
     parts = text.split(",")
-    if len(parts) != 4 or not all(part.strip().isdigit() and int(part) > 0 for part in parts):
+    if len(parts) != 4 or not all(part.strip().isdecimal() and int(part) > 0 for part in parts):
         raise click.BadParameter(f"{text!r}: four numbers of steps, such as 2500,2500,700,700")
     return tuple(int(part) for part in parts)
 

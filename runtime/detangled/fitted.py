@@ -120,7 +120,7 @@ def load_texture(path: str | Path) -> FittedTexture:
         weights = arrays["weights"]
         levels = arrays["calibration"].astype(np.float64, casting="safe")
         _check_arrays(values, starts, weights, method)
-        _check_calibration(levels)
+        _check_calibration(levels, method)
         return FittedTexture(
             signals=values,
             starts=starts,
@@ -151,9 +151,11 @@ def _check_arrays(values: NDArray[Any], starts: NDArray[Any], weights: NDArray[A
         raise ValueError("weights that do not go with the method")
 
 
-def _check_calibration(levels: NDArray[np.float64]) -> None:
+def _check_calibration(levels: NDArray[np.float64], method: str) -> None:
     """Raise ValueError where it is not monotone maps."""
     if levels.ndim != 4 or levels.shape[:3] != (2, 2, 2) or not np.isfinite(levels).all():
         raise ValueError("a calibration of another shape, or not finite")
     if (np.diff(levels, axis=3) < 0.0).any():
         raise ValueError("a calibration that is not monotone")
+    if (levels.size > 0) != (method == FINETUNE):
+        raise ValueError("a calibration that does not go with the method")

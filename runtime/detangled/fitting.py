@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.diffusion.calibration import calibration
-from detangled.diffusion.finetune import FineTuning, StepProgress, fine_tune
+from detangled.diffusion.finetune import FineTuning, StepProgress, curl_both_ways, fine_tune
 from detangled.diffusion.whitening import Whitening
 from detangled.errors import ModelError, TextureError
 from detangled.fitted import FINETUNE, METHODS, PATCHES, FittedTexture
@@ -30,7 +30,7 @@ from detangled.synthesis import synthesise
 POINTS_PER_TURN = 16  # of a new strand, and of targets before they are measured
 COARSE_CELLS = 512  # of a strand whose turns are only to be counted
 CALIBRATED_BY = 64  # strands drawn to see how far they are off
-CALIBRATION_SEED = 1 << 31  # one that nobody draws strands with
+CALIBRATION_SEED = 1 << 31
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
 
@@ -79,12 +79,17 @@ def fit(
 
 def _calibration(texture: FittedTexture) -> NDArray[np.float64]:
     """How far the strands that a network draws are off, measured on some that are as long as the targets."""
-    arcs = np.array([texture.signals[a:b, 2].mean() for a, b in pairwise(texture.starts)])
-    values, starts = synthesise(texture, np.resize(arcs, CALIBRATED_BY), np.arange(CALIBRATED_BY), CALIBRATION_SEED)
-    return calibration(
-        [texture.whitening.whiten(values[a:b]) for a, b in pairwise(starts)],
-        [texture.channels[:, a:b] for a, b in pairwise(texture.starts)],
-    )
+    arcs = np.sort([texture.signals[a:b, 2].mean() for a, b in pairwise(texture.starts)])
+    arcs = arcs[np.linspace(0, len(arcs) - 1, CALIBRATED_BY).round().astype(np.int64)]
+    # Shorter ones would be pieces without ends.
+    arcs = np.maximum(arcs, texture.median_arc)
+    values, starts = synthesise(texture, arcs, np.arange(CALIBRATED_BY), CALIBRATION_SEED)
+    drawn = [texture.whitening.whiten(values[a:b]) for a, b in pairwise(starts)]
+    wanted = [texture.channels[:, a:b] for a, b in pairwise(texture.starts)]
+    if curl_both_ways(wanted, texture.whitening):
+        # The network saw both hands alike.
+        drawn, wanted = ([*s, *(texture.whitening.mirrored(one) for one in s)] for s in (drawn, wanted))
+    return calibration(drawn, wanted)
 
 
 def measured(groom: Groom, grid: Grid) -> FittedTexture:

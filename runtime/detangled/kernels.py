@@ -8,6 +8,7 @@ named by a hash of the sources that hold kernels, unless NUMBA_CACHE_DIR says ot
 from __future__ import annotations
 
 import hashlib
+import importlib.util
 import os
 import sys
 from pathlib import Path
@@ -26,9 +27,13 @@ def cache_directory() -> Path:
     """Where the compiled kernels of this version of detangled are kept."""
     if "NUMBA_CACHE_DIR" in os.environ:
         return Path(os.environ["NUMBA_CACHE_DIR"])
-    package = Path(__file__).parent
+    packages = [Path(__file__).parent]
+    # Kernels for training, where they are installed, call these and each other; they are looked for, not loaded.
+    training = importlib.util.find_spec("detangled_training")
+    if training is not None and training.submodule_search_locations:
+        packages.extend(Path(folder) for folder in training.submodule_search_locations)
     digest = hashlib.sha256()
-    for source in sorted(package.rglob("*.py")):
+    for source in sorted(source for package in packages for source in package.rglob("*.py")):
         text = source.read_bytes()
         if b"detangled.kernels" in text:
             digest.update(text)

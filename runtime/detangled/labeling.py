@@ -14,6 +14,7 @@ from enum import IntEnum
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.errors import ModelError
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import signals
@@ -28,7 +29,7 @@ from detangled.texture import HAIR_TYPES
 LOWER_PART = 2.0 / 3.0  # of a signal: the lower section, by which people name the hair
 CELLS = 256  # of the signals that are read
 CELLS_PER_TURN = 16.0  # at least: of a strand of many turns the lowest are read
-CHUNK = 512  # strands measured at once: some tens of megabytes
+CHUNK = 256  # strands measured at once: some tens of megabytes, of noisy ones some hundreds
 MOST_CELLS = 8192  # of a whole strand
 POINTS_PER_TURN = 16  # of strands that are measured: centrelines, and so torsion, depend on it
 FEWEST_POINTS_PER_TURN = 3.0
@@ -101,6 +102,7 @@ class LabelNetwork:
     """
 
     def __init__(self, model: ExportedModel, threads: int = 1) -> None:
+        _check_cells(model)
         self._session = model.session(1)
         self._batch = model.batch
         self._threads = threads
@@ -124,6 +126,7 @@ class LabelGradient:
     """
 
     def __init__(self, model: ExportedModel, threads: int = 1) -> None:
+        _check_cells(model)
         self._session = model.session(1)
         self._batch = model.batch
         self._threads = threads
@@ -144,6 +147,13 @@ class LabelGradient:
         given = {"signals": padded(values, self._batch), "weights": padded(weights, self._batch)}
         labels, gradient = self._session.run(None, given)
         return labels[: len(values)].astype(np.float64), gradient[: len(values)].astype(np.float64)
+
+
+def _check_cells(model: ExportedModel) -> None:
+    if model.cells != CELLS:
+        raise ModelError(
+            f"{model.path}: reads signals of {model.cells} cells, not of {CELLS}: export the labelers anew"
+        )
 
 
 def padded(values: NDArray[np.float64], size: int) -> NDArray[np.float32]:

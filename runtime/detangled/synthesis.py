@@ -1,7 +1,8 @@
 """A texture and arc lengths in, signals of new strands out.
 
 Paper sections "Inference" and "Strand Synthesis": noise is denoised by the texture's own denoiser in the multistep
-solver; at each step the predicted clean signal is given its length, which is linear in v, and a straight axis.
+solver; at each step the predicted clean signal is given its length, which is linear in v, and a straight axis. What a
+network draws is calibrated to the strands that it was fitted to; its short strands are pieces of longer ones.
 """
 
 from __future__ import annotations

@@ -20,10 +20,10 @@ from numpy.typing import NDArray
 from torch import Tensor, nn
 from torch.nn import functional
 
-from detangled.errors import ModelError, WriteError
+from detangled.errors import ModelError, ReadError, WriteError
 from detangled.texture import HAIR_TYPES, TWISTS_PER_CM
 from detangled_training.checkpoint import make_folder
-from detangled_training.dataset import TEST, TRAIN, VALIDATION, Dataset, commit, read_dataset
+from detangled_training.dataset import SPLIT_NAMES, TEST, TRAIN, VALIDATION, Dataset, commit, read_dataset
 from detangled_training.labeler import Labeler, LabelerSizes
 from detangled_training.processes import Processes
 
@@ -188,8 +188,12 @@ class LabelerTraining:
     def _read(self, simulated: bool, split: int) -> Examples:
         data = read_dataset(self.folders[simulated], split, COLUMNS)
         if len(data.signals) == 0:
-            raise ModelError(f"{self.folders[simulated]}: too few strands: none of them is in every split")
-        self.data[simulated] = data.origin
+            raise ReadError(f"{self.folders[simulated]}: too few strands: none of them is for {SPLIT_NAMES[split]}")
+        if split == TRAIN:
+            before = self.data.get(simulated, data.origin)
+            if before["sha256"] != data.origin["sha256"]:
+                raise ModelError(f"{self.path}: begun with other strands than those in {self.folders[simulated]}")
+            self.data[simulated] = data.origin
         return Examples.of(data)
 
     def _train(

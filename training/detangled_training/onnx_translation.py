@@ -1,7 +1,7 @@
 """A traced torch function as ONNX nodes.
 
-Written node by node from the ATen operations that torch traced, for those that the denoiser and its training step are
-made of. An inference engine is fast on few and plain nodes, and the same network gives the same bytes.
+Written node by node from the ATen operations that torch traced, for those that our networks are made of. An inference
+engine is fast on few and plain nodes, and the same network gives the same bytes.
 """
 
 from __future__ import annotations
@@ -139,6 +139,8 @@ class Translator:
             parts = self.names[node] = [f"{made}.{k}" for k in range(len(value))]
             sizes = self.integers([part.shape[axis] for part in value])
             self.nodes.append(helper.make_node("Split", [self._of(a[0]), sizes], parts, name=made, axis=axis))
+        elif name in ("slice", "slice_backward") and len(a) > (4 if name == "slice" else 5) and a[-1] != 1:
+            raise ModelError(f"the network has a slice that cannot be exported: {node.format_node()}")
         elif name == "slice":
             bounds = [self.integers([number]) for number in (a[2], min(a[3], 2**62), a[1])]
             self.emit("Slice", [self._of(a[0]), *bounds], made)

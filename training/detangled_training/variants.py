@@ -15,6 +15,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.errors import TextureError
 from detangled.geometry.signal import signals
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.placing import resample
@@ -41,7 +42,7 @@ WET_SHEAR = (0.15, 0.3)
 # A twin beyond these is no coil any more, beside what it was made as.
 LEAST_NARROWED, MOST_WIDENED, MOST_STRETCHED = 0.15, 1.25, 4.0
 
-_CROP, _FIBRE, _READ = 2, 3, 4  # tell a strand's streams of random numbers apart
+_FIBRE, _READ = 3, 4  # tell a strand's streams of random numbers apart
 
 
 @dataclass(frozen=True)
@@ -72,6 +73,8 @@ def make_variants(first: int, count: int, seed: int, options: VariantOptions) ->
 
     Depends on the seed and each strand's number alone. Strands that could not be hung or read are left out.
     """
+    if options.read_share > 0.0 and options.cells != CELLS:
+        raise TextureError(f"strands that are read have signals of {CELLS} cells, not of {options.cells}")
     recipes = draw_recipes(count, seed, first)
     strands = make_strands(recipes, seed, margins(recipes))
     parts = []
@@ -82,6 +85,9 @@ def make_variants(first: int, count: int, seed: int, options: VariantOptions) ->
         strands = upright(strands, twins)
         for variant in range(options.hung):
             parts.extend(_hung(strands, recipes, twins, seed, options, variant))
+    if not parts:
+        ((values, columns), *_) = _both(strands, recipes, None, None, seed, options, _unhung(count))
+        return values[:0], {name: column[:0] for name, column in columns.items()}
     values = np.concatenate([values for values, _ in parts])
     columns = {name: np.concatenate([column[name] for _, column in parts]) for name in parts[0][1]}
     order = np.argsort(columns["base"], kind="stable")

@@ -37,7 +37,8 @@ class FineTuning:
     """How a network is trained on a few strands.
 
     most_steps: where it stops at the latest. few_steps: how many where there are too few strands to hold any out.
-    patience: evaluations without a gain of ``least_gain`` after which it stops. average: decay of the weights' mean.
+    learning_rate: its highest; it falls by a cosine. patience: evaluations without a gain of ``least_gain`` after
+    which it stops. average: decay of the weights' mean.
     """
 
     most_steps: int = 1600
@@ -163,6 +164,7 @@ def draw_windows(
 ) -> dict[str, NDArray[np.float32]]:
     """A noisy batch of windows: noisy, clean (B, 3, L), log_snr (B,), position (B, L), weight (B,), all float32.
 
+    A strand may pass for a part of a longer one, by the positions it is given.
     mirror: the whitening by which windows are mirrored at random; None where they are not.
     """
     size, cells = model.batch, model.cells
