@@ -20,7 +20,7 @@ pytest.importorskip("onnx")
 from detangled.errors import ModelError  # noqa: E402
 from detangled.models import DENOISER, TRAINING_STEP, load_model  # noqa: E402
 from detangled_cli import main as shell  # noqa: E402
-from detangled_training import denoiser_training  # noqa: E402
+from detangled_training import denoiser_training, processes  # noqa: E402
 from detangled_training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint  # noqa: E402
 from detangled_training.denoiser_training import Training, TrainingOptions, draw_batch, make_samples  # noqa: E402
 from detangled_training.parameters import flatten  # noqa: E402
@@ -251,7 +251,7 @@ def test_a_folder_that_cannot_be_one(tmp_path: Path) -> None:
 def test_processes_share_one_batch_at_one_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
     """What each of two processes is given makes up what a single one is given, at the same learning rates."""
     for name in ("init_process_group", "all_reduce"):
-        monkeypatch.setattr(denoiser_training.distributed, name, lambda *_: None)
+        monkeypatch.setattr(processes.distributed, name, lambda *_: None)
     samples, _ = make_samples(16, 0, 16, None)
 
     def steps_of(rank: int, world: int) -> tuple[list[Any], list[float]]:

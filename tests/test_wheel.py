@@ -72,6 +72,12 @@ def programs(wheel: Path, tmp_path_factory: pytest.TempPathFactory) -> Path:
     return there
 
 
+@pytest.fixture(scope="module")
+def cache(tmp_path_factory: pytest.TempPathFactory) -> str:
+    """A cache of its own: numba would not use what was compiled for other paths, and nothing should stay behind."""
+    return str(tmp_path_factory.mktemp("cache"))
+
+
 @pytest.fixture
 def elsewhere(tmp_path: Path) -> Path:
     for name in INPUTS:
@@ -95,10 +101,8 @@ def test_torch_is_not_there_and_not_missed(programs: Path, elsewhere: Path) -> N
     assert Path(loaded.stdout.strip()).is_relative_to(programs.parent)
 
 
-def test_it_does_the_main_job(programs: Path, elsewhere: Path) -> None:
+def test_it_does_the_main_job(programs: Path, elsewhere: Path, cache: str) -> None:
     bob, coily = INPUTS
-    # A cache of its own: numba would not use what was compiled for other paths, and nothing should stay behind.
-    cache = str(elsewhere / "cache")
     words = ("retexture", bob, "out.abc", "--target", coily, "--steps", 6)
     done = run(programs / "detangled", *words, cwd=elsewhere, NUMBA_CACHE_DIR=cache)
     assert done.returncode == 0, done.stderr
@@ -111,9 +115,9 @@ def test_it_does_the_main_job(programs: Path, elsewhere: Path) -> None:
     assert np.median(new.polyline_lengths() / old.polyline_lengths()) > 1.5
 
 
-def test_the_network_learns_and_draws_without_torch(programs: Path, elsewhere: Path) -> None:
+def test_the_network_learns_and_draws_without_torch(programs: Path, elsewhere: Path, cache: str) -> None:
     _, coily = INPUTS
-    detangled, cache = programs / "detangled", str(elsewhere / "cache")
+    detangled = programs / "detangled"
     words = ("fit", coily, "coily.texture", "--method", "finetune", "--training-steps", 3)
     fitted = run(detangled, *words, cwd=elsewhere, NUMBA_CACHE_DIR=cache)
     assert fitted.returncode == 0, fitted.stderr
@@ -125,9 +129,8 @@ def test_the_network_learns_and_draws_without_torch(programs: Path, elsewhere: P
     assert np.isfinite(new.points).all()
 
 
-def test_strands_are_read_without_torch(programs: Path, elsewhere: Path) -> None:
+def test_strands_are_read_without_torch(programs: Path, elsewhere: Path, cache: str) -> None:
     _, coily = INPUTS
-    cache = str(elsewhere / "cache")
     done = run(programs / "detangled", "label", coily, "--json", cwd=elsewhere, NUMBA_CACHE_DIR=cache)
     assert done.returncode == 0, done.stderr
     facts = json.loads(done.stdout)

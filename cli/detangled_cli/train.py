@@ -188,10 +188,14 @@ def export(source: Path, folder: Path, threads: int | None) -> None:
     from detangled_training.labeler_training import is_labelers
     from detangled_training.onnx_export import export as export_denoiser
 
-    note(f"{source}: exporting takes a while")
-    for model in (
-        export_labelers(source, folder) if is_labelers(source) else export_denoiser(read_checkpoint(source), folder)
-    ):
+    if is_labelers(source):
+        note(f"{source}: exporting takes a while")
+        models = export_labelers(source, folder)
+    else:
+        checkpoint = read_checkpoint(source)
+        note(f"{source}: {len(checkpoint.weights):,} parameters; exporting takes a while")
+        models = export_denoiser(checkpoint, folder)
+    for model in models:
         note(f"{model.path}: {_size(model.path)}; onnxruntime and torch differ by {model.difference:.1g} at most")
         note(f"{model.manifest}: {_size(model.manifest)}")
 

@@ -191,10 +191,9 @@ class Training:
 
     def __init__(self, options: TrainingOptions, folder: Path, note: Callable[[str], object] = lambda text: None):
         self.options, self.folder = options, folder
-        self.processes = Processes()
+        self.processes = Processes(options.batch)
         self.device = self.processes.device
         self.note = note if self.processes.rank == 0 else lambda text: None
-        self.part = self.processes.part(options.batch)
         make_folder(folder)
         torch.manual_seed(options.seed)
         self.network = UNet(options.architecture).to(self.device)
@@ -253,14 +252,14 @@ class Training:
 
     def _train(self, batch: Batch) -> float:
         names = ("noisy", "log_snr", "position", "asked", "known")
-        given = [getattr(batch, name)[self.part].to(self.device) for name in names]
+        given = [getattr(batch, name)[self.processes.part].to(self.device) for name in names]
         self.network.train()
         for group in self.optimizer.param_groups:
             group["lr"] = self._rate()
         self.optimizer.zero_grad(set_to_none=True)
         with torch.autocast(self.device.type, torch.bfloat16, enabled=self.processes.on_gpu):
             predicted = self.network(*given)
-        loss = ((predicted.float() - batch.clean[self.part].to(self.device)) ** 2).mean()
+        loss = ((predicted.float() - batch.clean[self.processes.part].to(self.device)) ** 2).mean()
         loss.backward()
         self.processes.average(self.network.parameters(), loss)
         torch.nn.utils.clip_grad_norm_(self.network.parameters(), self.options.optimizer.clip)

@@ -101,9 +101,8 @@ class LabelerTraining:
         note: Callable[[str], object] = lambda text: None,
     ) -> None:
         self.options, self.folder = options, folder
-        self.processes = Processes()
+        self.processes = Processes(options.batch)
         self.note = note if self.processes.rank == 0 else lambda text: None
-        self.mine = self.processes.part(options.batch)
         make_folder(folder)
         self.folders = {False: procedural, True: simulated}
         self.network = self._new_network()
@@ -189,6 +188,8 @@ class LabelerTraining:
         data = read_dataset(self.folders[simulated], split, COLUMNS)
         if len(data.signals) == 0:
             raise ReadError(f"{self.folders[simulated]}: too few strands: none of them is for {SPLIT_NAMES[split]}")
+        if (data.origin["options"]["hung"] > 0) != simulated:
+            raise ReadError(f"{self.folders[simulated]}: holds strands that are not {NAMES[simulated]}")
         if split == TRAIN:
             before = self.data.get(simulated, data.origin)
             if before["sha256"] != data.origin["sha256"]:
@@ -206,11 +207,18 @@ class LabelerTraining:
             source.batch(rng.integers(len(source), size=size), processes.device)
             for source, size in zip(sources, sizes, strict=True)
         ]
-        signals, radius, wavelength, twist = (torch.cat(parts)[self.mine] for parts in zip(*drawn, strict=True))
+        signals, radius, wavelength, twist = (
+            torch.cat(parts)[self.processes.part] for parts in zip(*drawn, strict=True)
+        )
         # Mirrored strands are as likely. Turning one about its axis changes none of its signals.
         mirrored = torch.from_numpy(np.where(rng.uniform(size=options.batch) < 0.5, -1.0, 1.0).astype(np.float32))
         signals = torch.stack(
-            [signals[:, :, 0], signals[:, :, 1] * mirrored[self.mine, None].to(processes.device), signals[:, :, 2]], 2
+            [
+                signals[:, :, 0],
+                signals[:, :, 1] * mirrored[self.processes.part, None].to(processes.device),
+                signals[:, :, 2],
+            ],
+            2,
         )
         rise = min(1.0, (self.step + 1) / max(options.warm_up, 1))
         fall = 0.5 * (1.0 + math.cos(math.pi * self.step / options.steps[stage]))

@@ -12,10 +12,17 @@ from detangled.errors import DetangledError
 
 
 class Processes:
-    """This process's place among them, and the device that it works on: a GPU where there is one."""
+    """This process's place among them, and the device that it works on: a GPU where there is one.
 
-    def __init__(self) -> None:
+    part: its part of a batch. Raises DetangledError where they cannot share the batch evenly.
+    """
+
+    def __init__(self, batch: int) -> None:
         self.rank, self.world = int(os.environ.get("RANK", "0")), int(os.environ.get("WORLD_SIZE", "1"))
+        if batch % self.world:
+            raise DetangledError(f"a batch of {batch} cannot be shared by {self.world} processes evenly")
+        size = batch // self.world
+        self.part = slice(self.rank * size, (self.rank + 1) * size)
         self.on_gpu = torch.cuda.is_available()
         own = int(os.environ.get("LOCAL_RANK", "0"))
         self.device = torch.device("cuda", own) if self.on_gpu else torch.device("cpu")
@@ -25,13 +32,6 @@ class Processes:
     @property
     def device_name(self) -> str:
         return torch.cuda.get_device_name() if self.on_gpu else "CPU"
-
-    def part(self, batch: int) -> slice:
-        """This process's part of a batch. Raises DetangledError where they cannot share it evenly."""
-        if batch % self.world:
-            raise DetangledError(f"a batch of {batch} cannot be shared by {self.world} processes evenly")
-        size = batch // self.world
-        return slice(self.rank * size, (self.rank + 1) * size)
 
     def average(self, parameters: Iterable[nn.Parameter], loss: Tensor) -> None:
         """Replace the gradients, and the loss, by their means over all processes."""
