@@ -397,7 +397,7 @@ def test_every_strand_keeps_its_place_among_others_that_cannot_be_read() -> None
     assert np.isfinite(found.length[[1, 3, 4, 6]]).all()
 
 
-def equal(one: Labels, other: Labels, order: Any = slice(None)) -> None:
+def assert_same_labels(one: Labels, other: Labels, order: Any = slice(None)) -> None:
     for field in fields(Labels):
         np.testing.assert_array_equal(getattr(one, field.name), getattr(other, field.name)[order], field.name)
 
@@ -411,13 +411,13 @@ def test_labels_depend_neither_on_the_other_strands_nor_on_threads_nor_on_parts(
     together = label(groom_of(*strands))
     for threads in (1, 2):
         set_threads(threads)
-        equal(label(groom_of(*strands)), together)
+        assert_same_labels(label(groom_of(*strands)), together)
     order = np.random.default_rng(3).permutation(len(strands))
-    equal(label(groom_of(*(strands[k] for k in order))), together, order)
+    assert_same_labels(label(groom_of(*(strands[k] for k in order))), together, order)
     monkeypatch.setattr("detangled.labeling.CHUNK", 3)
-    equal(label(groom_of(*strands)), together)
+    assert_same_labels(label(groom_of(*strands)), together)
     for k in (0, 6, 11):
-        equal(label(groom_of(strands[k])), together, slice(k, k + 1))
+        assert_same_labels(label(groom_of(strands[k])), together, slice(k, k + 1))
 
 
 def test_a_groom_without_strands_and_one_without_any_that_can_be_read() -> None:

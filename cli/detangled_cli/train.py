@@ -1,4 +1,4 @@
-"""detangled train: make data sets, train the denoiser with torch, and export it as the models that run without."""
+"""detangled train: make data sets, train networks with torch, and export them as the models that run without."""
 
 from __future__ import annotations
 
@@ -42,7 +42,9 @@ def command(ctx: click.Context) -> None:
     \b
     Example:
       pip install 'detangled[train]'
-      detangled train data --out strands --count 50000 --simulated
+      detangled train data --out strands --count 50000
+      detangled train data --out hung --count 4000 --simulated
+      detangled train labelers training --data strands --simulated-data hung
       detangled train denoiser training
       detangled train export training/checkpoint.pt models
     """

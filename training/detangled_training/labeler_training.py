@@ -33,6 +33,7 @@ STAGES = (("twist", False), ("torsion", False), ("twist", True), ("torsion", Tru
 STORED = ("options", "network", "optimizer", "stage", "step", "seconds", "history", "report")
 COLUMNS = ("base", "kind", "radius", "wavelength", "twists", "length", "read")
 LEAST_RATE = 0.01  # of the learning rate, at the end of each stage
+SECOND_RATE = 0.5  # of the learning rate, where a network is trained again
 CLIP = 1.0
 TWIST_KNEE, LOGARITHM_KNEE = 0.05, 0.1  # errors beyond count no longer by their square
 # Errors of radii count in parts of them, but below so many cm nobody can tell.
@@ -105,7 +106,8 @@ class LabelerTraining:
         self.note = note if self.processes.rank == 0 else lambda text: None
         make_folder(folder)
         self.folders = {False: procedural, True: simulated}
-        self.network = self._new_network()
+        torch.manual_seed(options.seed)
+        self.network = Labeler(options.sizes).to(self.processes.device)
         self.stage, self.step, self.seconds = 0, 0, 0.0
         self.history: list[tuple[int, int, float, float]] = []  # stage, step, mean loss since the last, held-out error
         self._optimizer_state: dict[str, Any] | None = None
@@ -131,7 +133,7 @@ class LabelerTraining:
             for simulated in {False, on_simulated} - set(train):
                 train[simulated], held_out[simulated] = (self._read(simulated, split) for split in (TRAIN, VALIDATION))
             part: nn.Module = getattr(self.network, name)
-            rate = self.options.learning_rates[name] * (1.0 if not on_simulated else 0.5)
+            rate = self.options.learning_rates[name] * (SECOND_RATE if on_simulated else 1.0)
             optimizer = torch.optim.AdamW(part.parameters(), rate, weight_decay=self.options.weight_decay)
             if self._optimizer_state is not None:
                 optimizer.load_state_dict(self._optimizer_state)
@@ -179,10 +181,6 @@ class LabelerTraining:
 
     def close(self) -> None:
         self.processes.close()
-
-    def _new_network(self) -> Labeler:
-        torch.manual_seed(self.options.seed)
-        return Labeler(self.options.sizes).to(self.processes.device)
 
     def _read(self, simulated: bool, split: int) -> Examples:
         data = read_dataset(self.folders[simulated], split, COLUMNS)
