@@ -175,7 +175,7 @@ def test_a_finished_data_set_is_left_alone(copy: Path) -> None:
 def test_the_manifest_tells_what_is_there(whole: Path) -> None:
     stored = json.loads((whole / MANIFEST).read_text())
     assert (stored["count"], stored["seed"], stored["shard_strands"]) == (COUNT, SEED, SHARD)
-    assert stored["options"] == {"hung": 2, "read_share": 0.5, "cells": 4}
+    assert stored["options"] == {"hung": 2, "read_share": 0.5, "cells": 4, "untyped": 0.0}
     assert stored["columns"] == ["base", "variant", "radius", "position"]
     assert len(stored["commits"]) == 1
     assert [shard["strands"] for shard in stored["shards"].values()] == [SHARD, SHARD, 300]
@@ -446,7 +446,7 @@ def test_a_folder_that_cannot_be_written_to(tmp_path: Path, monkeypatch: pytest.
 def test_another_data_set_is_refused_by_the_command(copy: Path) -> None:
     result = data("--out", copy, "--count", COUNT, "--seed", SEED)
     assert result.exit_code == 5
-    assert "holds another data set (hung 2, not 0, cells 4, not 256)" in error_line(result)
+    assert "holds another data set (hung 2, not 0, cells 4, not 256, untyped 0.0, not 0.2)" in error_line(result)
 
 
 def test_the_command_that_is_stopped_says_how_to_go_on(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:

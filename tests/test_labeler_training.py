@@ -28,6 +28,7 @@ from detangled_training.labeler_training import (  # noqa: E402
     score,
     told,
 )
+from detangled_training.strands import UNTYPED  # noqa: E402
 from detangled_training.variants import VariantOptions  # noqa: E402
 
 TINY = LabelerSizes(lstm_width=4, encoder_width=8, layers=1, heads=2, feed_forward=8)
@@ -137,7 +138,7 @@ def test_training_lowers_the_loss(data: Folders, tmp_path: Path) -> None:
     """On forty steps of either network the error on what was held out falls, or the loss does."""
     options = replace(
         OPTIONS, steps=(40, 40, 0, 0), batch=16, evaluate_every=20, save_every=1000,
-        learning_rates={"twist": 5e-3, "torsion": 5e-3},
+        learning_rates={"twist": 5e-3, "helix": 5e-3},
     )  # fmt: skip
     losses: list[float] = []
     training(tmp_path, data, options).run(lambda step, loss: losses.append(loss))
@@ -196,7 +197,7 @@ def test_a_training_stopped_between_checkpoints_goes_on_from_the_last(
         ({"seed": 1}, "another seed"),
         ({"batch": 4}, "another batch"),
         ({"steps": (4, 4, 2, 3)}, "another steps"),
-        ({"learning_rates": {"twist": 1e-3, "torsion": 1e-3}}, "another learning rates"),
+        ({"learning_rates": {"twist": 1e-3, "helix": 1e-3}}, "another learning rates"),
         ({"sizes": replace(TINY, lstm_width=5), "weight_decay": 0.1}, "another weight decay, sizes"),
     ],
 )
@@ -323,6 +324,15 @@ def test_a_type_of_which_there_is_none_has_no_scores() -> None:
     some = Examples(**{name: getattr(examples, name)[2:4] for name in Examples.__dataclass_fields__})
     torch.manual_seed(0)
     assert list(score(Labeler(TINY), some)) == ["all", "III", "IV"]
+
+
+def test_strands_of_no_type_are_scored_apart() -> None:
+    examples = examples_of_all_types(2)
+    examples.kind[:3] = UNTYPED
+    torch.manual_seed(0)
+    found = score(Labeler(TINY), examples)
+    assert found["of no type"]["count"] == 3
+    assert found["all"]["count"] == 13 == sum(found[kind.name]["count"] for kind in HAIR_TYPES[1:])
 
 
 def test_a_training_scores_every_type_that_is_held_out(whole: Path, data: Folders) -> None:

@@ -12,12 +12,15 @@ from detangled.errors import TextureError
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.winding import winding
 from detangled.kernels import set_threads
-from detangled.texture import HAIR_TYPES, Profile, arc_of_a_turn
+from detangled.texture import HAIR_TYPES, LENGTH_LIMITS, Profile, arc_of_a_turn
 from detangled_training.signals import margins, pooled_whitening, procedural_signals, straightened
 from detangled_training.strands import (
     LONGEST_STEP,
     POINTS_PER_TURN,
     UNTYPED,
+    UNTYPED_RADII,
+    UNTYPED_SLOPES,
+    UNTYPED_TURNS,
     Recipes,
     Strands,
     _twist,
@@ -218,6 +221,34 @@ def test_a_nearly_straight_strand_keeps_its_wave() -> None:
     arc = arc_lengths(canonical.points, canonical.offsets)
     np.testing.assert_allclose(arc, 30.0, rtol=1e-3)
     np.testing.assert_allclose(winding(canonical.points, canonical.offsets)[0], [0.2, 0.05, 0.45], rtol=0.01)
+
+
+def test_a_share_of_strands_is_of_no_type_and_drawn_by_independent_numbers() -> None:
+    typed, drawn = draw_recipes(2000, seed=4), draw_recipes(2000, seed=4, untyped=0.25)
+    free = drawn.kind == UNTYPED
+    assert 0.2 < free.mean() < 0.3
+    for name in ("kind", "radius", "wavelength", "twist", "length"):
+        np.testing.assert_array_equal(getattr(drawn, name)[~free], getattr(typed, name)[~free])
+    some = draw_recipes(2000, seed=4, untyped=1.0)
+    assert (some.kind == UNTYPED).all()
+    radius, wavelength = (np.exp(np.log(knots).mean(axis=1)) for knots in (some.radius, some.wavelength))
+    turn = arc_of_a_turn(radius, wavelength)
+    slope = wavelength / (2.0 * np.pi * radius)
+    turns = some.length / turn
+    assert turns.min() >= 0.99 * UNTYPED_TURNS[0]
+    assert turns.max() <= 1.01 * UNTYPED_TURNS[1]
+    assert some.length.max() < LENGTH_LIMITS[1]
+    for values, (least, most) in ((radius, UNTYPED_RADII), (slope[wavelength > 0.151], UNTYPED_SLOPES)):
+        assert values.min() >= 0.99 * least
+        assert values.max() <= 1.01 * most
+        assert np.median(values) == pytest.approx(np.sqrt(least * most), rel=0.25)
+    for a, b in ((radius, slope), (radius, some.twist), (slope, some.twist), (some.twist, some.length)):
+        assert abs(np.corrcoef(np.log(a), np.log(b))[0, 1]) < 0.1
+    # Wider than the types: flat coils of any size are among them.
+    flat = [
+        float(((one.wavelength[:, 0] < one.radius[:, 0]) & (one.radius[:, 0] > 0.4)).mean()) for one in (some, typed)
+    ]
+    assert flat[0] > 4.0 * flat[1]
 
 
 def test_straightening_makes_twisted_strands_straighter() -> None:

@@ -351,7 +351,9 @@ def test_a_hung_strand_is_labelled_as_it_hangs_without_twists(monkeypatch: pytes
     options = VariantOptions(hung=1, read_share=0.0)
     twisted = make_variants(0, 12, SEED, options)[1]
     monkeypatch.setattr(
-        variants, "draw_recipes", lambda *given: replace(draw_recipes(*given), twist=np.zeros(given[0]))
+        variants,
+        "draw_recipes",
+        lambda *given, **more: replace(draw_recipes(*given, **more), twist=np.zeros(given[0])),
     )
     plain = make_variants(0, 12, SEED, options)[1]
     assert (twisted["twists"] > 0).any()

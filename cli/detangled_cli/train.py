@@ -20,6 +20,7 @@ INTERRUPTED = 130
 WRONG_USAGE = 2
 NUMBER = click.IntRange(min=1)
 VARIANTS = 2  # of a simulated strand
+UNTYPED = 0.2  # share of strands of none of the hair types
 
 
 class ExtraMissing(click.ClickException):
@@ -115,7 +116,7 @@ def denoiser(
     "--steps",
     metavar="A,B,C,D",
     callback=lambda ctx, parameter, text: _stages(text),
-    help="Of twist and torsion, unsimulated, then simulated. Default: 2500,2500,700,700.",
+    help="Of twist and helix, unsimulated, then simulated. Default: 2500,8000,700,1000.",
 )
 @click.option("--batch", type=NUMBER, metavar="N", help="Strands of a step, shared by all processes. Default: 64.")
 @click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Of the training. Default: 0.")
@@ -212,12 +213,21 @@ def export(source: Path, folder: Path, threads: int | None) -> None:
     help="Folder of the data set. One that was begun by the same options is gone on with.",
 )
 @click.option("--count", type=NUMBER, required=True, metavar="N", help="Base strands, of all hair types alike.")
+@click.option(
+    "--untyped",
+    type=click.FloatRange(0.0, 1.0),
+    default=UNTYPED,
+    metavar="SHARE",
+    help=f"Share of strands of no type, their numbers drawn without regard to each other. Default: {UNTYPED}.",
+)
 @click.option("--simulated", is_flag=True, help="Hang each strand wet, by simulation, with drawn fibres.")
 @click.option("--variants", type=NUMBER, metavar="K", help="Times each strand is hung, if simulated. Default: 2.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, metavar="N", help="Of the strands. Default: 0.")
 @click.option("--workers", type=NUMBER, metavar="N", help="Processes to share the cores. Default: one for each core.")
 @quiet_option
-def data(folder: Path, count: int, simulated: bool, variants: int | None, seed: int, workers: int | None) -> None:
+def data(
+    folder: Path, count: int, untyped: float, simulated: bool, variants: int | None, seed: int, workers: int | None
+) -> None:
     """Write a data set of strands to train on.
 
     Stopped, it goes on when the same command is given again; with a larger --count it is extended. The same options
@@ -232,7 +242,7 @@ def data(folder: Path, count: int, simulated: bool, variants: int | None, seed: 
     from detangled_training import dataset
     from detangled_training.variants import VariantOptions
 
-    options = VariantOptions(hung=(variants or VARIANTS) if simulated else 0)
+    options = VariantOptions(hung=(variants or VARIANTS) if simulated else 0, untyped=untyped)
     announce_first_run("resting.hang_all" if simulated else "winding.winding")
     began = time.monotonic()
     try:

@@ -2,7 +2,8 @@
 
 Paper section "Inferencing texture parameters". A bidirectional LSTM with attention tells the twist prevalence; a
 transformer encoder tells the torsion that characterises the lower section, from channels that say where twists disturb
-it least; the curvature that characterises it is what low frequencies leave; the helix equations give the rest.
+it least; the curvature that characterises it is that of low frequencies; the helix equations give the rest. Beyond the
+paper the encoder also tells where low frequencies count, and a factor on the curvature.
 
 Bahdanau et al. 2016 (attention), Vaswani et al. 2017 (encoder), Xiong et al. 2020 (normalisation before each layer).
 """
@@ -31,10 +32,11 @@ LOWER_FROM = CELLS - round(LOWER_PART * CELLS)
 SMALL_ANGLE = 0.05  # [rad] that a cell bends or twists by, from where on its logarithm counts
 TYPICAL_CELL = 0.08  # [cm]
 LEAST_RATE = 1e-3  # [1/cm]: hair that bends less is straight
-# Disturbances below this part of a signal are rounding: a weight must not turn on their sign.
-ROUNDED = 0.01
+# Disturbances below this part of a signal count alike: a weight must not turn on the sign of what is next to nothing.
+ROUNDED = 0.1
 LEAST_SIZE = 1e-5  # [1/cm]
-UPPER = -3.0  # logarithm of how much less a cell above the lower section counts, to begin with
+# Logarithms of how much less a cell above the lower section counts: in torsion to begin with, in curvature always.
+UPPER, NEVER = -3.0, -30.0
 LEAST_TORSION = 0.02  # of the curvature, so that a torsion of zero has a logarithm
 
 
@@ -69,21 +71,20 @@ class Labeler(nn.Module):
         super().__init__()
         self.sizes = sizes or LabelerSizes()
         self.twist = TwistNetwork(self.sizes)
-        self.torsion = TorsionNetwork(self.sizes)
+        self.helix = HelixNetwork(self.sizes)
         self.low_pass: Tensor
         self.register_buffer("low_pass", gaussian_matrix(CELLS, LOW_PASS_CELLS), persistent=False)
 
     def forward(self, signals: Tensor) -> Labels:
         """Labels of signals (B, CELLS, 3) of kappa, tau [1/cm] and v [cm per t]."""
         twist = self.twist(signals)
-        return self.helix(signals, twist)
+        return self.knowing(signals, twist)
 
-    def helix(self, signals: Tensor, twist: Tensor) -> Labels:
+    def knowing(self, signals: Tensor, twist: Tensor) -> Labels:
         """Labels of signals whose twist prevalence (B,) is known."""
-        bend = bends(signals[:, :, 0], self.low_pass)
-        tau = self.torsion(signals, bend, twist, self.low_pass)
-        total = bend.kappa**2 + tau**2
-        return Labels(bend.kappa / total, 2.0 * math.pi * tau / total, twist, bend.kappa, tau)
+        kappa, tau = self.helix(signals, twist, self.low_pass)
+        total = kappa**2 + tau**2
+        return Labels(kappa / total, 2.0 * math.pi * tau / total, twist, kappa, tau)
 
 
 class TwistNetwork(nn.Module):
@@ -106,11 +107,12 @@ class TwistNetwork(nn.Module):
         return torch.sigmoid(self.head((share * hidden).sum(dim=1)))[:, 0]
 
 
-class TorsionNetwork(nn.Module):
-    """The characteristic torsion (B,) [1/cm]: a mean over the places that twists disturb least, times a factor.
+class HelixNetwork(nn.Module):
+    """The characteristic curvature and torsion (B,) [1/cm]: a mean of each over places, times a factor.
 
-    The encoder says both: how much each place counts in the mean, and by its mean pooling and the last layers the
-    factor.
+    The encoder says both: how much each place counts in either mean, and by its mean pooling and the last layers the
+    factors. To begin with curvature is the mean of its low frequencies over the lower section, torsion that over the
+    places which twists disturb least.
     """
 
     def __init__(self, sizes: LabelerSizes) -> None:
@@ -120,13 +122,16 @@ class TorsionNetwork(nn.Module):
         self.place = nn.Parameter(0.02 * torch.randn(CELLS // sizes.encoder_cells, sizes.encoder_width))
         self.layers = nn.ModuleList(EncoderLayer(sizes) for _ in range(sizes.layers))
         self.norm = nn.LayerNorm(sizes.encoder_width)
-        self.share = nn.Linear(sizes.encoder_width, 1)
-        self.head = _head(sizes.encoder_width, (256, 128), sizes.dropout)
-        for last in (self.share, self.head[-1]):
+        self.share = nn.Linear(sizes.encoder_width, 2)
+        self.kappa_factor = _head(sizes.encoder_width, (256, 128), sizes.dropout)
+        self.tau_factor = _head(sizes.encoder_width, (256, 128), sizes.dropout)
+        for last in (self.share, self.kappa_factor[-1], self.tau_factor[-1]):
             assert isinstance(last, nn.Linear)
             nn.init.zeros_(last.weight)
+            nn.init.zeros_(last.bias)
 
-    def forward(self, signals: Tensor, bend: Bends, twist: Tensor, low_pass: Tensor) -> Tensor:
+    def forward(self, signals: Tensor, twist: Tensor, low_pass: Tensor) -> tuple[Tensor, Tensor]:
+        bend = bends(signals[:, :, 0], low_pass)
         tau = signals[:, :, 1]
         weighted = tau * bend.weight
         low = undisturbed(tau, low_pass)
@@ -146,12 +151,17 @@ class TorsionNetwork(nn.Module):
         for layer in self.layers:
             x = layer(x)
         x = self.norm(x)
-        # To begin with, cells of the lower section count by how little twists disturb them.
-        start = torch.log(_weight(off)) + torch.where(torch.arange(CELLS, device=x.device) < LOWER_FROM, UPPER, 0.0)
-        logits = self.share(x).expand(-1, -1, self.cells).reshape(x.shape[0], CELLS) + start
-        plain = (torch.softmax(logits, dim=1) * tau).sum(dim=1)
-        factor = torch.exp(self.head(x.mean(dim=1)))[:, 0]
-        return torch.sqrt(plain**2 + (LEAST_TORSION * bend.kappa) ** 2) * factor
+        of_kappa, of_tau = (
+            share.expand(-1, -1, self.cells).reshape(x.shape[0], CELLS) for share in self.share(x).split(1, dim=2)
+        )
+        lower = torch.arange(CELLS, device=x.device) >= LOWER_FROM
+        shares = torch.softmax(of_kappa + torch.where(lower, 0.0, NEVER), dim=1)
+        kappa = (shares * bend.low).sum(dim=1).clamp_min(LEAST_RATE)
+        shares = torch.softmax(of_tau + torch.where(lower, 0.0, UPPER) + torch.log(_weight(off)), dim=1)
+        plain = (shares * tau).sum(dim=1)
+        tau = torch.sqrt(plain**2 + (LEAST_TORSION * kappa) ** 2)
+        mean = x.mean(dim=1)
+        return kappa * torch.exp(self.kappa_factor(mean)[:, 0]), tau * torch.exp(self.tau_factor(mean)[:, 0])
 
 
 class EncoderLayer(nn.Module):

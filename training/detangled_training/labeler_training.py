@@ -1,6 +1,6 @@
 """Training of the labelers: paper, section "Inferencing texture parameters", "Training".
 
-In the paper's order: the twist network on unsimulated strands, the torsion network on the same, then each again on
+In the paper's order: the twist network on unsimulated strands, the helix network on the same, then each again on
 simulated ones. Where strands were simulated, half of each batch is; the other half keeps what was learned before.
 """
 
@@ -26,10 +26,11 @@ from detangled_training.checkpoint import make_folder
 from detangled_training.dataset import SPLIT_NAMES, TEST, TRAIN, VALIDATION, Dataset, commit, read_dataset
 from detangled_training.labeler import Labeler, LabelerSizes
 from detangled_training.processes import Processes
+from detangled_training.strands import UNTYPED
 
 CHECKPOINT = "labelers.pt"
 NAMES = {False: "procedural", True: "simulated"}  # of data sets
-STAGES = (("twist", False), ("torsion", False), ("twist", True), ("torsion", True))  # network, on simulated strands
+STAGES = (("twist", False), ("helix", False), ("twist", True), ("helix", True))  # network, on simulated strands
 STORED = ("options", "network", "optimizer", "stage", "step", "seconds", "history", "report")
 COLUMNS = ("base", "kind", "radius", "wavelength", "twists", "length", "read")
 LEAST_RATE = 0.01  # of the learning rate, at the end of each stage
@@ -46,9 +47,9 @@ MOST_EVALUATED = 2048
 class LabelerOptions:
     """How labelers are trained. steps: of each stage, in the order of STAGES. learning_rates: of either network."""
 
-    steps: tuple[int, ...] = (2500, 2500, 700, 700)
+    steps: tuple[int, ...] = (2500, 8000, 700, 1000)
     batch: int = 64
-    learning_rates: dict[str, float] = field(default_factory=lambda: {"twist": 1e-3, "torsion": 5e-4})
+    learning_rates: dict[str, float] = field(default_factory=lambda: {"twist": 1e-3, "helix": 5e-4})
     warm_up: int = 100
     weight_decay: float = 0.01
     seed: int = 0
@@ -239,7 +240,7 @@ class LabelerTraining:
         with torch.no_grad():
             self.network.twist.eval()
             told = self.network.twist(signals)
-        found = self.network.helix(signals, told)
+        found = self.network.knowing(signals, told)
         errors = torch.stack(logarithms(found.radius, found.wavelength, radius, wavelength))
         return functional.smooth_l1_loss(errors, torch.zeros_like(errors), beta=LOGARITHM_KNEE)
 
@@ -312,10 +313,11 @@ def told(network: Labeler, signals: NDArray[np.float32]) -> tuple[NDArray, NDArr
 def score(network: Labeler, examples: Examples) -> dict[str, dict[str, float]]:
     """Errors by type and over all: of radius and wavelength in parts of them, median and 90 %; of T_f, the mean.
 
-    Those of strands as read from a file are counted apart.
+    Those of strands as read from a file, and of strands of no type, are counted apart.
     """
     radius, wavelength, twist = told(network, examples.signals)
-    rows = {"all": ~examples.read}
+    typed = ~examples.read & (examples.kind != UNTYPED)
+    rows = {"all": typed, "of no type": ~examples.read & ~typed}
     rows |= {kind.name: ~examples.read & (examples.kind == k) for k, kind in enumerate(HAIR_TYPES)}
     rows["as read"] = examples.read
     scores = {}

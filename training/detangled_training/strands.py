@@ -16,7 +16,7 @@ from numpy.typing import ArrayLike, NDArray
 from detangled.errors import TextureError
 from detangled.groom import Groom, offsets_of
 from detangled.kernels import kernel, parallel_kernel, prange
-from detangled.texture import HAIR_TYPES, TWISTS_PER_CM, Profile, arc_of_a_turn
+from detangled.texture import HAIR_TYPES, TWISTS_PER_CM, WAVELENGTH_LIMITS, Profile, arc_of_a_turn
 
 POINTS_PER_TURN = 32
 LONGEST_STEP = 0.1  # [cm] between points, so that a twist has its place in straight hair too
@@ -31,7 +31,14 @@ SMOOTH_DEVIATION = 0.12  # of the logarithm, in each of so many half-waves; abov
 SMOOTH_WAVES = 3
 KNOTS = 9  # of a profile: four between the zeros of the shortest half-wave
 SHARES = 64  # of a strand's arc that its characteristic radius and wavelength are means of
-UNTYPED = -1  # type of a strand that was asked by its numbers
+UNTYPED = -1  # type of a strand that is of none: asked by its numbers, or drawn by independent ones
+
+# Independent numbers, even in their logarithms: the radius, the slope of the helix (wavelength by circumference), and
+# the arc; the twist prevalence is even.
+UNTYPED_RADII = (0.08, 1.5)  # [cm]
+UNTYPED_SLOPES = (0.08, 3.0)
+UNTYPED_LENGTHS = (4.0, 50.0)  # [cm]
+UNTYPED_TURNS = (3.0, 60.0)  # that an arc has at least and at most
 
 _WHERE = 1  # tells the stream that places the twists from the one that the strand's numbers are drawn from
 
@@ -128,10 +135,13 @@ class Strands:
         return Groom(self.points, self.offsets, up="z")
 
 
-def draw_recipes(count: int, seed: int, first: int = 0, kinds: ArrayLike | None = None) -> Recipes:
+def draw_recipes(
+    count: int, seed: int, first: int = 0, kinds: ArrayLike | None = None, untyped: float = 0.0
+) -> Recipes:
     """Recipes of strands ``first`` to ``first + count``, of the eight types: each from its own stream [seed, number].
 
-    kinds: (count,) indices into HAIR_TYPES; None draws them, all types alike.
+    kinds: (count,) indices into HAIR_TYPES, or UNTYPED; None draws them, all types alike, but for a share ``untyped``
+    of strands whose radius, slope, twist prevalence and length are drawn without regard to each other.
     """
     waves = 2 * SMOOTH_WAVES
     uniform = np.empty((count, 11))
@@ -142,11 +152,13 @@ def draw_recipes(count: int, seed: int, first: int = 0, kinds: ArrayLike | None 
         normal[row] = rng.standard_normal(normal.shape[1])
     if kinds is None:
         kind = (uniform[:, 0] * len(HAIR_TYPES)).astype(np.int8)
+        kind[uniform[:, 9] < untyped] = UNTYPED
     else:
         kind = np.array(np.broadcast_to(np.asarray(kinds, dtype=np.int8), (count,)))
     drawn = np.empty((count, 4))
     for index, hair in enumerate(HAIR_TYPES):
         drawn[kind == index] = hair.at(uniform[kind == index, 1:5])
+    drawn[kind == UNTYPED] = _independent(uniform[kind == UNTYPED, 1:5])
     radius, wavelength, twist, length = drawn.T
     # A radius varies over turns, not within one; and could not fast enough within a strand that is shorter than one.
     room = np.minimum(1.0, length / arc_of_a_turn(radius, wavelength))
@@ -160,6 +172,17 @@ def draw_recipes(count: int, seed: int, first: int = 0, kinds: ArrayLike | None 
         hand=np.where(uniform[:, 7] < 0.5, -1, 1).astype(np.int8),
         phase=2.0 * np.pi * uniform[:, 8],
     )
+
+
+def _independent(shares: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Radius, wavelength, twist, length (S, 4) of quantiles (S, 4)."""
+    radius, slope, length = (
+        np.exp(np.interp(shares[:, column], (0.0, 1.0), np.log(limits)))
+        for column, limits in ((0, UNTYPED_RADII), (1, UNTYPED_SLOPES), (3, UNTYPED_LENGTHS))
+    )
+    wavelength = np.clip(2.0 * np.pi * radius * slope, *WAVELENGTH_LIMITS)
+    turn = arc_of_a_turn(radius, wavelength)
+    return np.stack([radius, wavelength, shares[:, 2], np.clip(length / turn, *UNTYPED_TURNS) * turn], axis=1)
 
 
 def _profiles(

@@ -50,12 +50,14 @@ class VariantOptions:
     """What is made of each base strand.
 
     hung: times it is hung, with fibres of its own; 0 where it is not simulated. read_share: share of base strands
-    that also come as a file would hold them. cells: of a signal.
+    that also come as a file would hold them. cells: of a signal. untyped: share of base strands of none of the types
+    (``draw_recipes``).
     """
 
     hung: int = 0
     read_share: float = 0.5
     cells: int = CELLS
+    untyped: float = 0.0
 
 
 Columns = dict[str, NDArray]
@@ -66,16 +68,16 @@ def make_variants(first: int, count: int, seed: int, options: VariantOptions) ->
 
     A column (V, ...) each. base: the strand's number. variant: which time it was hung, -1 where it was not. stretched:
     whether it hung from the stretched pose, where that ends otherwise. read: whether it is as a file holds it, then
-    with points_per_turn and noise [cm]. kind: index into HAIR_TYPES. radius, wavelength [cm]: of the signal's lower
-    part, without twists. twist (T_f), twists (how many), length [cm] of arc, hand: as constructed. turns: of the whole
-    strand. position (2): the part of root to tip that the signal covers. thickness [um], axis_ratio, porosity, youngs,
-    shear [GPa]: of the fibre, NaN where it is not hung.
+    with points_per_turn and noise [cm]. kind: index into HAIR_TYPES, or UNTYPED. radius, wavelength [cm]: of the
+    signal's lower part, without twists. twist (T_f), twists (how many), length [cm] of arc, hand: as constructed.
+    turns: of the whole strand. position (2): the part of root to tip that the signal covers. thickness [um],
+    axis_ratio, porosity, youngs, shear [GPa]: of the fibre, NaN where it is not hung.
 
     Depends on the seed and each strand's number alone. Strands that could not be hung or read are left out.
     """
     if options.read_share > 0.0 and options.cells != CELLS:
         raise TextureError(f"strands that are read have signals of {CELLS} cells, not of {options.cells}")
-    recipes = draw_recipes(count, seed, first)
+    recipes = draw_recipes(count, seed, first, untyped=options.untyped)
     strands = make_strands(recipes, seed, margins(recipes))
     parts = []
     if options.hung == 0:
