@@ -6,7 +6,7 @@ import functools
 import re
 import subprocess
 import sys
-from collections.abc import Iterator
+from collections.abc import Callable, Iterator
 from pathlib import Path
 from typing import Any
 
@@ -17,24 +17,25 @@ from click.testing import CliRunner, Result
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from detangled.errors import ModelError  # noqa: E402
+from detangled.diffusion.schedule import CosineSchedule  # noqa: E402
+from detangled.errors import ModelError, ReadError  # noqa: E402
 from detangled.models import DENOISER, TRAINING_STEP, load_model  # noqa: E402
 from detangled_cli import main as shell  # noqa: E402
 from detangled_training import denoiser_training, processes  # noqa: E402
 from detangled_training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint  # noqa: E402
-from detangled_training.denoiser_training import Training, TrainingOptions, draw_batch, make_samples  # noqa: E402
+from detangled_training.dataset import TRAIN, read_dataset, write_dataset  # noqa: E402
+from detangled_training.denoiser_training import Samples, Training, TrainingOptions, draw_batch  # noqa: E402
 from detangled_training.parameters import flatten  # noqa: E402
 from detangled_training.unet import Architecture  # noqa: E402
+from detangled_training.variants import VariantOptions  # noqa: E402
 
 TINY = Architecture(channels=(8, 16), attention=1, embedding=16, groups=4, heads=2)
 STEPS, EVALUATE_EVERY, SAVE_EVERY = 6, 3, 2
 tiny_options = functools.partial(
     TrainingOptions,
-    strands=16,
     steps=STEPS,
     batch=4,
     warm_up=2,
-    cells=16,
     evaluate_every=EVALUATE_EVERY,
     save_every=SAVE_EVERY,
     architecture=TINY,
@@ -56,10 +57,24 @@ def tiny() -> Iterator[None]:
 
 
 @pytest.fixture(scope="module")
-def trained(tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
+def strands(tmp_path_factory: pytest.TempPathFactory) -> Path:
+    """A data set of a few signals, of 16 cells each."""
+    folder: Path = tmp_path_factory.mktemp("strands")
+    write_dataset(folder, 42, 0, VariantOptions(cells=16, read_share=0.0), workers=1)
+    return folder
+
+
+@pytest.fixture(scope="module")
+def denoiser(strands: Path) -> Callable[..., Result]:
+    """The command that trains on these."""
+    return lambda folder, *words: train("denoiser", folder, "--data", strands, *words)
+
+
+@pytest.fixture(scope="module")
+def trained(denoiser: Callable[..., Result], tmp_path_factory: pytest.TempPathFactory) -> tuple[Path, Result]:
     """A training that was not stopped: its checkpoint, and what the command said."""
     folder: Path = tmp_path_factory.mktemp("trained") / "new"
-    return folder / "checkpoint.pt", train("denoiser", folder)
+    return folder / "checkpoint.pt", denoiser(folder)
 
 
 @pytest.fixture(scope="module")
@@ -124,14 +139,14 @@ for words in ([], ["denoiser"], ["export"]):
 
 def test_help_tells_the_defaults() -> None:
     said = " ".join(train("denoiser", "--help").stdout.split())
-    for name in ("strands", "steps", "batch", "learning_rate", "seed"):
+    for name in ("steps", "batch", "learning_rate", "seed"):
         stated = re.search(rf"--{name.replace('_', '-')} \w [^-]*Default: ([\d.]+\d|\d)", said)
         assert stated, name
         assert float(stated[1]) == getattr(TrainingOptions(), name)
 
 
 @pytest.mark.parametrize("missing", ["torch", "onnx"])
-@pytest.mark.parametrize("words", [("denoiser", "out"), ("export", "checkpoint.pt", "out")])
+@pytest.mark.parametrize("words", [("denoiser", "out", "--data", "in"), ("export", "checkpoint.pt", "out")])
 def test_without_the_extra_one_line_says_how_to_get_it(
     words: tuple[str, ...], missing: str, monkeypatch: pytest.MonkeyPatch, tmp_path: Path
 ) -> None:
@@ -143,7 +158,10 @@ def test_without_the_extra_one_line_says_how_to_get_it(
     assert not list(tmp_path.iterdir())
 
 
-@pytest.mark.parametrize("words", [(), ("denoisre",), ("denoiser",), ("denoiser", "out", "--batch", "0")])
+@pytest.mark.parametrize(
+    "words",
+    [(), ("denoisre",), ("denoiser",), ("denoiser", "out"), ("denoiser", "out", "--data", "in", "--batch", "0")],
+)
 def test_wrong_usage(words: tuple[str, ...]) -> None:
     result = train(*words)
     assert (result.exit_code, result.stdout) == (2, "")
@@ -168,10 +186,10 @@ def test_a_training_notes_and_records_its_evaluations(trained: tuple[Path, Resul
     assert {file.name for file in path.parent.iterdir()} == {"checkpoint.pt"}
 
 
-def test_weights_are_the_mean_of_what_was_trained(trained: tuple[Path, Result], tmp_path: Path) -> None:
+def test_weights_are_the_mean_of_what_was_trained(trained: tuple[Path, Result], tmp_path: Path, strands: Path) -> None:
     checkpoint = read_checkpoint(trained[0])
     assert checkpoint.state is not None
-    start = flatten(Training(tiny_options(), tmp_path).network)
+    start = flatten(Training(tiny_options(), tmp_path, [strands]).network)
     moved, averaged = checkpoint.state.current - start, checkpoint.weights - start
     assert float(moved.norm()) > 0.0
     assert 0.2 < float(averaged.norm() / moved.norm()) < 1.0
@@ -179,41 +197,49 @@ def test_weights_are_the_mean_of_what_was_trained(trained: tuple[Path, Result], 
 
 @pytest.mark.parametrize("done", [3, 4])
 def test_a_training_that_was_stopped_goes_on_bit_for_bit(
-    done: int, trained: tuple[Path, Result], tmp_path: Path, monkeypatch: pytest.MonkeyPatch
+    done: int,
+    trained: tuple[Path, Result],
+    tmp_path: Path,
+    monkeypatch: pytest.MonkeyPatch,
+    denoiser: Callable[..., Result],
 ) -> None:
     with monkeypatch.context() as patch:
         stop_after(patch, done)
-        stopped = train("denoiser", tmp_path)
+        stopped = denoiser(tmp_path)
     assert stopped.exit_code == 130
     assert "--resume" in stopped.stderr.splitlines()[-1]
     saved = read_checkpoint(tmp_path / "checkpoint.pt")
     assert saved.state is not None
     assert saved.state.step == done // SAVE_EVERY * SAVE_EVERY
 
-    result = train("denoiser", tmp_path, "--resume")
+    result = denoiser(tmp_path, "--resume")
     assert result.exit_code == 0, result.stderr
     assert f"going on from step {saved.state.step}" in result.stderr
     assert_same_training(read_checkpoint(tmp_path / "checkpoint.pt"), read_checkpoint(trained[0]))
 
 
-def test_stopped_before_anything_was_saved(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_stopped_before_anything_was_saved(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, denoiser: Callable[..., Result]
+) -> None:
     stop_after(monkeypatch, 1)
-    result = train("denoiser", tmp_path, "--quiet")
+    result = denoiser(tmp_path, "--quiet")
     assert (result.exit_code, result.stderr.strip()) == (130, "detangled: interrupted; nothing was written")
 
 
-def test_a_training_at_its_end_is_left_alone(trained: tuple[Path, Result]) -> None:
+def test_a_training_at_its_end_is_left_alone(trained: tuple[Path, Result], denoiser: Callable[..., Result]) -> None:
     before = trained[0].read_bytes()
-    result = train("denoiser", trained[0].parent, "--resume")
+    result = denoiser(trained[0].parent, "--resume")
     assert result.exit_code == 0
     assert "last step already" in result.stderr
     assert trained[0].read_bytes() == before
 
 
-def test_options_are_passed_on_and_nothing_to_resume_is_a_new_training(tmp_path: Path) -> None:
-    given = {"strands": 8, "steps": 2, "batch": 2, "learning_rate": 0.001, "seed": 3}
+def test_options_are_passed_on_and_nothing_to_resume_is_a_new_training(
+    tmp_path: Path, denoiser: Callable[..., Result]
+) -> None:
+    given = {"steps": 2, "batch": 2, "learning_rate": 0.001, "seed": 3}
     words = [word for name, value in given.items() for word in (f"--{name.replace('_', '-')}", value)]
-    result = train("denoiser", tmp_path, "--resume", "--threads", torch.get_num_threads(), *words)
+    result = denoiser(tmp_path, "--resume", "--threads", torch.get_num_threads(), *words)
     assert result.exit_code == 0, result.stderr
     assert "a new training" in result.stderr
     state = read_checkpoint(tmp_path / "checkpoint.pt").state
@@ -221,9 +247,9 @@ def test_options_are_passed_on_and_nothing_to_resume_is_a_new_training(tmp_path:
     assert {name: state.options[name] for name in given} == given
 
 
-def test_a_training_is_not_written_over(trained: tuple[Path, Result]) -> None:
+def test_a_training_is_not_written_over(trained: tuple[Path, Result], denoiser: Callable[..., Result]) -> None:
     before = trained[0].read_bytes()
-    result = train("denoiser", trained[0].parent)
+    result = denoiser(trained[0].parent)
     assert result.exit_code == 5
     assert "--resume" in error_line(result)
     assert trained[0].read_bytes() == before
@@ -231,16 +257,16 @@ def test_a_training_is_not_written_over(trained: tuple[Path, Result]) -> None:
 
 @pytest.mark.parametrize(("option", "value"), [("seed", 1), ("steps", 7), ("learning-rate", 0.1)])
 def test_another_option_than_it_was_begun_with_is_named(
-    option: str, value: float, trained: tuple[Path, Result]
+    option: str, value: float, trained: tuple[Path, Result], denoiser: Callable[..., Result]
 ) -> None:
-    result = train("denoiser", trained[0].parent, "--resume", f"--{option}", value)
+    result = denoiser(trained[0].parent, "--resume", f"--{option}", value)
     assert result.exit_code == 4
     assert f"begun with another {option.replace('-', ' ')}:" in error_line(result)
 
 
-def test_a_folder_that_cannot_be_one(tmp_path: Path) -> None:
+def test_a_folder_that_cannot_be_one(tmp_path: Path, denoiser: Callable[..., Result]) -> None:
     (tmp_path / "file").write_text("")
-    result = train("denoiser", tmp_path / "file")
+    result = denoiser(tmp_path / "file")
     assert result.exit_code == 5
     assert "cannot be made a folder" in error_line(result)
 
@@ -248,21 +274,22 @@ def test_a_folder_that_cannot_be_one(tmp_path: Path) -> None:
 # ---- several processes
 
 
-def test_processes_share_one_batch_at_one_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_processes_share_one_batch_at_one_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, strands: Path) -> None:
     """What each of two processes is given makes up what a single one is given, at the same learning rates."""
     for name in ("init_process_group", "all_reduce"):
         monkeypatch.setattr(processes.distributed, name, lambda *_: None)
-    samples, _ = make_samples(16, 0, 16, None)
+    samples = Training(tiny_options(), tmp_path, [strands]).prepare().samples
+    whitening = samples.whitening()
 
     def steps_of(rank: int, world: int) -> tuple[list[Any], list[float]]:
         monkeypatch.setenv("RANK", str(rank))
         monkeypatch.setenv("WORLD_SIZE", str(world))
-        training = Training(tiny_options(), tmp_path)
+        training = Training(tiny_options(), tmp_path, [strands])
         given: list[Any] = []
         rates = []
         training.network.register_forward_pre_hook(lambda _, inputs: given.append(inputs))
         for training.step in range(STEPS):
-            training._train(draw_batch(samples, training.schedule, training.options, training.step))
+            training._train(draw_batch(samples, whitening, training.schedule, training.options, training.step))
             rates.append(training.optimizer.param_groups[0]["lr"])
         return given, rates
 
@@ -277,17 +304,21 @@ def test_processes_share_one_batch_at_one_rate(tmp_path: Path, monkeypatch: pyte
     assert not torch.equal(alone[0][0], alone[1][0])
 
 
-def test_a_batch_that_cannot_be_shared_evenly_is_refused(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_a_batch_that_cannot_be_shared_evenly_is_refused(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, denoiser: Callable[..., Result]
+) -> None:
     monkeypatch.setenv("WORLD_SIZE", "3")
-    result = train("denoiser", tmp_path)
+    result = denoiser(tmp_path)
     assert result.exit_code == 3
     assert "4 cannot be shared by 3 processes" in error_line(result)
 
 
-def test_only_the_first_process_speaks_and_writes(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+def test_only_the_first_process_speaks_and_writes(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, denoiser: Callable[..., Result]
+) -> None:
     monkeypatch.setenv("RANK", "1")
     monkeypatch.setattr(Training, "_train", lambda *_: 0.0)
-    result = train("denoiser", tmp_path)
+    result = denoiser(tmp_path)
     assert (result.exit_code, result.output) == (0, "")
     assert not list(tmp_path.iterdir())
 
@@ -339,7 +370,9 @@ SPOILED = {
 
 
 @pytest.mark.parametrize("how", SPOILED)
-def test_a_spoiled_checkpoint_is_one_line(how: str, trained: tuple[Path, Result], tmp_path: Path) -> None:
+def test_a_spoiled_checkpoint_is_one_line(
+    how: str, trained: tuple[Path, Result], tmp_path: Path, strands: Path
+) -> None:
     path = tmp_path / "checkpoint.pt"
     path.write_bytes(trained[0].read_bytes())
     spoil(path, how)
@@ -347,7 +380,7 @@ def test_a_spoiled_checkpoint_is_one_line(how: str, trained: tuple[Path, Result]
         read_checkpoint(path)
     commands = [("export", path, tmp_path / "models")]
     if how != "missing":
-        commands.append(("denoiser", tmp_path, "--resume"))
+        commands.append(("denoiser", tmp_path, "--data", strands, "--resume"))
     for words in commands:
         result = train(*words)
         assert result.exit_code == 4
@@ -355,12 +388,14 @@ def test_a_spoiled_checkpoint_is_one_line(how: str, trained: tuple[Path, Result]
     assert not (tmp_path / "models").exists()
 
 
-def test_a_checkpoint_without_a_training_cannot_be_gone_on_with(trained: tuple[Path, Result], tmp_path: Path) -> None:
+def test_a_checkpoint_without_a_training_cannot_be_gone_on_with(
+    trained: tuple[Path, Result], tmp_path: Path, denoiser: Callable[..., Result]
+) -> None:
     whole = read_checkpoint(trained[0])
     bare = Checkpoint(whole.architecture, whole.weights, whole.whitening, whole.schedule, whole.cells, whole.training)
     write_checkpoint(bare, tmp_path / "checkpoint.pt")
     assert torch.equal(read_checkpoint(tmp_path / "checkpoint.pt").weights, whole.weights)
-    result = train("denoiser", tmp_path, "--resume")
+    result = denoiser(tmp_path, "--resume")
     assert result.exit_code == 4
     assert "no training to go on with" in error_line(result)
 
@@ -396,3 +431,101 @@ def test_export_into_what_is_no_folder(trained: tuple[Path, Result]) -> None:
     result = train("export", trained[0], trained[0], "--quiet")
     assert result.exit_code == 5
     assert "cannot be made a folder" in error_line(result)
+
+
+# ---- data, and what a training begins with
+
+
+def test_samples_are_what_the_data_sets_hold_but_for_strands_as_read(strands: Path, tmp_path: Path) -> None:
+    write_dataset(tmp_path, 45, 5, VariantOptions(cells=256, read_share=0.5), workers=1)
+    data = read_dataset(tmp_path)
+    samples = Samples.of([data])
+    kept = ~data.labels["read"]
+    assert 0 < kept.sum() < len(kept)
+    np.testing.assert_array_equal(samples.signals, data.signals[kept])
+    np.testing.assert_allclose(np.exp(samples.asked[:, 0]), data.labels["radius"][kept], rtol=1e-6)
+    np.testing.assert_allclose(np.exp(samples.asked[:, 1]), data.labels["wavelength"][kept], rtol=1e-6)
+    np.testing.assert_allclose(np.exp(samples.asked[:, 3]), samples.signals[:, :, 2].mean(axis=1), rtol=1e-5)
+    assert ((samples.asked[:, 2] >= 0.0) & (samples.asked[:, 2] <= 1.0)).all()
+    assert len(Samples.of([data, data])) == 2 * len(samples)
+    with pytest.raises(ReadError, match="different cells"):
+        Samples.of([data, read_dataset(strands)])
+
+
+def test_a_batch_is_of_whitened_signals_half_of_them_mirrored_and_some_by_themselves(strands: Path) -> None:
+    samples = Samples.of([read_dataset(strands)])
+    options, whitening = tiny_options(batch=512), samples.whitening()
+    batch = draw_batch(samples, whitening, CosineSchedule(), options, 3)
+    clean = batch.clean.numpy().astype(np.float64)
+    values = samples.signals.astype(np.float64)
+    both = np.concatenate([whitening.whiten(values), whitening.mirrored(whitening.whiten(values))])
+    away = np.abs(clean[:, None] - both[None]).max(axis=(2, 3))
+    found = away.min(axis=1) < 1e-5
+    assert 0.4 < found.mean() < 0.6
+    mirrored = away[found].argmin(axis=1) >= len(values)
+    assert 0.4 < mirrored.mean() < 0.6
+    # The others have the mean and deviation that whitening gives a strand by itself, and nothing is asked of them.
+    np.testing.assert_allclose(clean[~found].mean(axis=2), 0.0, atol=1e-5)
+    known = batch.known.numpy()
+    assert not known[~found].any()
+    assert 0.7 < known[found].mean() < 0.9
+    alpha = np.sqrt(1.0 / (1.0 + np.exp(-batch.log_snr.numpy().astype(np.float64))))[:, None, None]
+    noise = (batch.noisy.numpy() - alpha * clean) / np.sqrt(1.0 - alpha**2)
+    assert abs(float(noise.std()) - 1.0) < 0.02
+
+
+def test_a_manifest_tells_the_data(trained: tuple[Path, Result], strands: Path) -> None:
+    (told,) = read_checkpoint(trained[0]).training["data"]
+    assert told == read_dataset(strands, TRAIN).origin
+
+
+def test_other_strands_than_it_was_begun_with_are_refused(trained: tuple[Path, Result], tmp_path: Path) -> None:
+    write_dataset(tmp_path / "others", 42, 1, VariantOptions(cells=16, read_share=0.0), workers=1)
+    (tmp_path / "run").mkdir()
+    stored = torch.load(trained[0], weights_only=True)
+    stored["state"]["step"] = 4
+    torch.save(stored, tmp_path / "run" / "checkpoint.pt")
+    result = train("denoiser", tmp_path / "run", "--data", tmp_path / "others", "--resume")
+    assert result.exit_code == 4
+    assert "begun with other strands" in error_line(result)
+
+
+def test_data_that_is_not_there_is_told(tmp_path: Path) -> None:
+    result = train("denoiser", tmp_path / "run", "--data", tmp_path / "nothing")
+    assert result.exit_code == 3
+    assert "holds no data set" in error_line(result)
+
+
+def test_a_training_begins_with_an_exported_model(
+    denoiser: Callable[..., Result], models: tuple[Path, Result], strands: Path, tmp_path: Path
+) -> None:
+    begun = Training(tiny_options(), tmp_path, [strands], models[0])
+    np.testing.assert_array_equal(flatten(begun.network).half().numpy(), load_model(DENOISER, models[0]).weights)
+    result = denoiser(tmp_path, "--start", models[0])
+    assert result.exit_code == 0, result.stderr
+    checkpoint = read_checkpoint(tmp_path / "checkpoint.pt")
+    assert checkpoint.whitening == load_model(DENOISER, models[0]).whitening
+    assert checkpoint.training["start"]["training"]["steps_done"] == STEPS
+    assert len(checkpoint.training["start"]["sha256"]) == 64
+    again = denoiser(tmp_path, "--start", models[0], "--resume")
+    assert again.exit_code == 0, again.stderr
+
+
+def test_a_training_goes_on_only_with_the_model_it_was_begun_with(
+    denoiser: Callable[..., Result], trained: tuple[Path, Result], models: tuple[Path, Result]
+) -> None:
+    result = denoiser(trained[0].parent, "--start", models[0], "--resume")
+    assert result.exit_code == 4
+    assert "not begun with" in error_line(result)
+
+
+def test_a_start_that_is_no_model_leaves_no_folder(denoiser: Callable[..., Result], tmp_path: Path) -> None:
+    result = denoiser(tmp_path / "run", "--start", tmp_path)
+    assert result.exit_code == 4
+    assert not (tmp_path / "run").exists()
+
+
+def test_a_model_of_other_sizes_is_no_start(models: tuple[Path, Result], strands: Path, tmp_path: Path) -> None:
+    larger = Architecture(channels=(16, 16), attention=1, embedding=16, groups=4, heads=2)
+    with pytest.raises(ModelError, match="a network of other sizes"):
+        Training(tiny_options(architecture=larger), tmp_path, [strands], models[0])

@@ -35,10 +35,10 @@ from detangled_training.variants import (
     VariantOptions,
     _frames,
     _local,
-    _means_between,
     bodies,
     draw_fibres,
     make_variants,
+    means_between,
     upright,
 )
 
@@ -291,12 +291,19 @@ def with_fibres(fibres: Fibres, monkeypatch: pytest.MonkeyPatch) -> None:
 def hung_labels(kind: int, fibres: Fibres, monkeypatch: pytest.MonkeyPatch) -> tuple[Columns, Columns]:
     """Labels of a type's coils as hung with some fibre, and as constructed."""
     recipes, everyone = coils(kind)
-    strands, twins = make_strands(recipes, 0, margins(recipes)), make_strands(recipes, 0)
+    strands = make_strands(recipes, 0, margins(recipes))
     options = VariantOptions(read_share=0.0)
     (_, constructed), *_ = variants._both(strands, recipes, None, None, 0, options, variants._unhung(len(everyone)))
     with_fibres(fibres, monkeypatch)
-    parts = variants._hung(upright(strands, twins), recipes, twins, 0, options, 0)
-    return parts[0][1], constructed
+    rest = next(variants.hung_strands(recipes, 0, 0))
+    about = {
+        "stretched": np.zeros(len(rest.recipes), dtype=bool),
+        "variant": np.zeros(len(rest.recipes), dtype=np.int8),
+    }
+    ((_, hung),) = variants._both(
+        rest.strands, rest.recipes, rest.radius, rest.wavelength, 0, options, about | rest.fibres
+    )
+    return hung, constructed
 
 
 STIFF = Fibres(180.0, 1.0, 0.0, 10.0, 10.0)
@@ -371,9 +378,9 @@ def test_of_a_hung_coil_kappa_and_tau_give_radius_and_wavelength_at_each_place()
     np.testing.assert_allclose(wavelength[:, inside], HAIR_TYPES[5].wavelength.mean, rtol=0.02)
     rise = np.tile(np.linspace(1.0, 3.0, 256), (len(everyone), 1))
     begin, end = np.full(len(everyone), 0.25), np.full(len(everyone), 0.75)
-    found, _ = _means_between(rise, np.ones_like(rise), begin, end)
+    found, _ = means_between(rise, np.ones_like(rise), begin, end)
     np.testing.assert_allclose(found, 2.0, rtol=0.01)
-    found, _ = _means_between(rise, np.ones_like(rise), begin + 0.25, end + 0.25)
+    found, _ = means_between(rise, np.ones_like(rise), begin + 0.25, end + 0.25)
     np.testing.assert_allclose(found, 2.5, rtol=0.01)
 
 

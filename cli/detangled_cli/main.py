@@ -36,6 +36,7 @@ class Verb(NamedTuple):
 
 VERBS = {
     "retexture": Verb("detangled_cli.retexture", "command", "Give a groom another hair texture."),
+    "generate": Verb("detangled_cli.generate", "command", "Make loose strands of a texture."),
     "fit": Verb("detangled_cli.fit", "command", "Learn a texture from a few strands, to use it often."),
     "render": Verb("detangled_cli.render", "command", "Draw a groom as a picture."),
     "guides": Verb("detangled_cli.guides", "command", "Write a groom's style guides: strands without curl."),

@@ -1,14 +1,15 @@
-"""detangled retexture: give a groom the texture of a few strands."""
+"""detangled retexture: give a groom another texture."""
 
 from __future__ import annotations
 
 import time
+from dataclasses import replace
 from pathlib import Path
+from typing import Any
 
 import click
 
 from detangled_cli.console import (
-    UNIT,
     announce_first_run,
     input_argument,
     note,
@@ -19,21 +20,13 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
-from detangled_cli.targets import method_option
+from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
 
 
 @click.command()
 @input_argument
 @output_argument
-@click.option(
-    "--target",
-    "texture_source",
-    required=True,
-    metavar="STRANDS|FITTED",
-    type=click.Path(path_type=Path),
-    help="Strands of the new texture (.abc, .obj, .npz), or a .texture made by detangled fit.",
-)
-@method_option
+@texture_options
 @click.option(
     "--length",
     type=click.Choice(["guide", "strand"]),
@@ -49,52 +42,49 @@ from detangled_cli.targets import method_option
     metavar="N",
     help="Most points a strand may have. Default: as many as the texture needs, 16 a turn.",
 )
-@click.option(
-    "--target-unit",
-    type=UNIT,
-    metavar="U",
-    help="Unit of the target strands, where it is not what it seems.",
-)
 @unit_option
 @threads_option
 @quiet_option
 def command(
     source: Path,
     target: Path,
-    texture_source: Path,
-    method: str | None,
     length: str,
     seed: int,
     steps: int,
     max_points: int | None,
-    target_unit: str | None,
     unit: str | None,
     threads: int | None,
+    thickness: str | None,
+    porosity: float | None,
+    **wanted: Any,
 ) -> None:
     """Give a groom another texture, on its own style: one new strand for each of its strands.
 
-    The texture is learned from the target strands; the groom keeps its style, its strands' number, order, roots and
-    attributes.
+    The texture is learned from target strands, or told by a hair type or by numbers; the groom keeps its style, its
+    strands' number, order, roots and attributes.
 
     \b
     Example:
       detangled retexture in.abc out.abc --target strands.obj
+      detangled retexture in.abc out.abc --type 4B
+      detangled retexture in.abc out.abc --radius 6mm:2mm --wavelength 8mm --twist 0.3
       detangled retexture in.abc out.abc --target coily.texture --length strand --seed 7
     """
     from detangled.formats import check_writable, read, write
     from detangled.grooming.lengths import Length
     from detangled.kernels import set_threads
     from detangled.retexturing import Options, retexture
-    from detangled_cli.targets import fitted_texture
 
     began = time.perf_counter()
     check_writable(target)
+    fibre = fibre_attributes(thickness, porosity)
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
+    groom = replace(groom, attributes={**groom.attributes, **fibre})
     announce_first_run("placing.resample")
     set_threads(threads)
-    texture = fitted_texture(texture_source, target_unit, method, seed)
+    texture = wanted_texture(**wanted, seed=seed)
     with progress_bar("strands", groom.strand_count) as bar:
         result = retexture(groom, texture, Options(Length(length), seed, steps, max_points), bar.update)
     for sentence in [*result.lost, *result.warnings, *write(result.groom, target)]:

@@ -1,4 +1,4 @@
-"""Where a texture comes from: strands in a groom file, or a .texture made of some by detangled fit."""
+"""Where a texture comes from: strands in a groom file, a .texture made of some by detangled fit, or numbers."""
 
 from __future__ import annotations
 
@@ -9,12 +9,12 @@ from typing import TYPE_CHECKING
 import click
 
 from detangled.errors import ModelError
-from detangled_cli.console import Command, note, progress_bar, warn
+from detangled_cli.console import UNIT, Command, note, progress_bar, warn
 
 if TYPE_CHECKING:
     from detangled.diffusion.finetune import FineTuning
     from detangled.fitted import FittedTexture
-    from detangled.groom import Groom
+    from detangled.groom import Attribute, Groom
 
 
 METHODS = ("patches", "finetune")
@@ -29,6 +29,91 @@ def method_option(command: Command) -> Command:
         help="How to learn from strands: patches at once, finetune trains a network on them for minutes. "
         f"[default: {DEFAULT_METHOD}]",
     )(command)
+
+
+def texture_options(command: Command) -> Command:
+    """What a verb takes to be told a texture, as ``texture_source``, ``method`` and so on: see ``wanted_texture``."""
+    for option in reversed(
+        (
+            click.option(
+                "--target",
+                "texture_source",
+                metavar="STRANDS|FITTED",
+                type=click.Path(path_type=Path),
+                help="Strands of the new texture (.abc, .obj, .npz), or a .texture made by detangled fit.",
+            ),
+            click.option("--type", "hair", metavar="T", help="Hair type: 1A to 4C, I to VIII, straw, marker."),
+            click.option("--radius", metavar="R", help="Of the curls: 4mm; 6mm:2mm runs from root to tip."),
+            click.option("--wavelength", metavar="W", help="From a curl to the next: 9mm; also from root to tip."),
+            click.option(
+                "--twist", type=float, metavar="T_f", help="Prevalence of sudden twists, 0 to 1: see label --explain."
+            ),
+            click.option("--thickness", metavar="D", help="Of the fibre, 70um: written as width. It changes no shape."),
+            click.option(
+                "--porosity", type=float, metavar="P", help="0 to 1: written as an attribute. It changes no shape."
+            ),
+            method_option,
+            click.option(
+                "--target-unit",
+                type=UNIT,
+                metavar="U",
+                help="Unit of the target strands, where it is not what it seems.",
+            ),
+        )
+    ):
+        command = option(command)
+    return command
+
+
+def wanted_texture(
+    texture_source: Path | None,
+    hair: str | None,
+    radius: str | None,
+    wavelength: str | None,
+    twist: float | None,
+    method: str | None,
+    target_unit: str | None,
+    seed: int,
+) -> FittedTexture:
+    """The texture that ``texture_options`` ask for: by examples, or by a type and numbers."""
+    numbers = {"--type": hair, "--radius": radius, "--wavelength": wavelength, "--twist": twist}
+    given = [name for name, value in numbers.items() if value is not None]
+    if texture_source is not None:
+        if given:
+            raise click.UsageError(f"--target tells the texture already: leave {' and '.join(given)} out, or --target")
+        return fitted_texture(texture_source, target_unit, method, seed)
+    if not given:
+        raise click.UsageError(f"which texture? Give --target, or one or more of {', '.join(numbers)}")
+    if method not in (None, "patches") or target_unit is not None:
+        raise click.UsageError("--method finetune and --target-unit go with --target")
+    from detangled.asked import asked, asked_texture
+    from detangled.texture import hair_type, parse_profile
+
+    what = asked(
+        None if hair is None else hair_type(hair),
+        None if radius is None else parse_profile(radius, "--radius"),
+        None if wavelength is None else parse_profile(wavelength, "--wavelength"),
+        twist,
+    )
+    note(f"texture: {what}")
+    return asked_texture(what)
+
+
+def fibre_attributes(thickness: str | None, porosity: float | None) -> dict[str, Attribute]:
+    """What a groom is told of its fibres: their thickness as ``width`` [cm], and their porosity."""
+    import numpy as np
+
+    from detangled.groom import Attribute, Scope
+    from detangled.texture import check_porosity, check_thickness, parse_length
+
+    told: dict[str, float] = {}
+    if thickness is not None:
+        told["width"] = parse_length(thickness, "--thickness")
+        check_thickness(1e4 * told["width"])
+    if porosity is not None:
+        told["porosity"] = porosity
+        check_porosity(porosity)
+    return {name: Attribute(np.array([value], dtype=np.float32), Scope.GROOM) for name, value in told.items()}
 
 
 def fitted_texture(

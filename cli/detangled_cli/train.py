@@ -46,8 +46,9 @@ def command(ctx: click.Context) -> None:
       detangled train data --out strands --count 50000
       detangled train data --out hung --count 4000 --simulated
       detangled train labelers training --data strands --simulated-data hung
-      detangled train denoiser training
+      detangled train denoiser training --data hung
       detangled train export training/checkpoint.pt models
+      detangled train library models
     """
     if ctx.invoked_subcommand is None:
         click.echo(ctx.get_help(), err=True)
@@ -56,8 +57,19 @@ def command(ctx: click.Context) -> None:
 
 @command.command()
 @click.argument("folder", metavar="OUT_FOLDER", type=click.Path(path_type=Path))
-@click.option("--strands", type=NUMBER, metavar="N", help="Procedural strands to train on. Default: 20000.")
-@click.option("--steps", type=NUMBER, metavar="N", help="Steps of training. Default: 2000.")
+@click.option(
+    "--data",
+    "folders",
+    required=True,
+    multiple=True,
+    metavar="DIR",
+    type=click.Path(path_type=Path),
+    help="Strands to train on, made by train data; may be given several times.",
+)
+@click.option(
+    "--start", metavar="MODELS", type=click.Path(path_type=Path), help="Begin with the denoiser.onnx of this folder."
+)
+@click.option("--steps", type=NUMBER, metavar="N", help="Steps of training. Default: 20000.")
 @click.option("--batch", type=NUMBER, metavar="N", help="Strands of a step, shared by all processes. Default: 32.")
 @click.option(
     "--learning-rate",
@@ -65,13 +77,14 @@ def command(ctx: click.Context) -> None:
     metavar="X",
     help="The highest: it rises at first, then falls. Default: 0.0004.",
 )
-@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Of the strands and the training. Default: 0.")
+@click.option("--seed", type=click.IntRange(min=0), metavar="N", help="Of the training. Default: 0.")
 @click.option("--resume", is_flag=True, help="Go on with the training in OUT_FOLDER, if there is one, by its options.")
 @threads_option
 @quiet_option
 def denoiser(
     folder: Path,
-    strands: int | None,
+    folders: tuple[Path, ...],
+    start: Path | None,
     steps: int | None,
     batch: int | None,
     learning_rate: float | None,
@@ -79,25 +92,26 @@ def denoiser(
     resume: bool,
     threads: int | None,
 ) -> None:
-    """Train the denoiser on procedural strands.
+    """Train the denoiser.
 
     OUT_FOLDER/checkpoint.pt is written again and again on the way: --resume goes on from there. A GPU is used where
     there is one; with several, start it by torchrun.
 
     \b
     Example:
-      detangled train denoiser training --steps 20000
-      detangled train denoiser training --resume
-      torchrun --nproc-per-node 2 -m detangled_cli.main train denoiser training
+      detangled train data --out hung --count 50000 --simulated
+      detangled train denoiser training --data hung
+      detangled train denoiser training --data hung --resume
+      torchrun --nproc-per-node 2 -m detangled_cli.main train denoiser training --data hung
     """
     _use(threads)
     from detangled_training.denoiser_training import Training
 
     if os.environ.get("RANK", "0") != "0":
         hush()
-    asked = {"strands": strands, "steps": steps, "batch": batch, "learning_rate": learning_rate, "seed": seed}
+    asked = {"steps": steps, "batch": batch, "learning_rate": learning_rate, "seed": seed}
     given: dict[str, Any] = {name: value for name, value in asked.items() if value is not None}
-    training = Training(replace(_options(folder, resume), **given), folder, note)
+    training = Training(replace(_options(folder, resume), **given), folder, folders, start, note)
     try:
         _train(training)
     except KeyboardInterrupt:
@@ -262,6 +276,31 @@ def data(
         note(f"{holds}: finished already")
 
 
+@command.command()
+@click.argument("folder", metavar="OUT_FOLDER", type=click.Path(path_type=Path))
+@click.option("--count", type=NUMBER, default=3000, show_default=True, metavar="N", help="Base strands.")
+@click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, metavar="N", help="Of the strands.")
+@threads_option
+@quiet_option
+def library(folder: Path, count: int, seed: int, threads: int | None) -> None:
+    """Make the library of strands that textures asked for by numbers are drawn from: library.npz and a .json.
+
+    The environment variable DETANGLED_MODELS names a folder of models to use.
+
+    \b
+    Example:
+      detangled train library models
+    """
+    from detangled.kernels import set_threads
+    from detangled_training.library import write_library
+
+    announce_first_run("resting.hang_all")
+    set_threads(threads)
+    with progress_bar("strands", count) as bar:
+        path, strands = write_library(folder, count, seed, bar.update)
+    note(f"{path}: {strands:,} strands, {_size(path)}")
+
+
 def _use(threads: int | None) -> None:
     """Load what training stands on, and have it use so many threads."""
     from detangled.kernels import set_threads
@@ -305,9 +344,7 @@ def _train(training: Training) -> None:
     if training.step >= steps:
         note(f"{training.path}: trained to its last step already")
         return
-    announce_first_run("winding.winding")
-    with progress_bar("strands", training.options.strands) as bar:
-        data = training.prepare(bar.update)
+    data = training.prepare()
     with progress_bar("training steps", steps) as bar:
         bar.initial = bar.n = training.step
 

@@ -19,10 +19,11 @@ from detangled.diffusion.patches import PatchSchedule
 from detangled.diffusion.whitening import Whitening
 from detangled.errors import ModelError, ReadError
 from detangled.formats import replacing
+from detangled.shape import Shape
 
 SUFFIX = ".texture"
 FORMAT = "detangled texture"
-VERSION = 3
+VERSION = 4
 PATCHES, FINETUNE = "patches", "finetune"
 METHODS = (PATCHES, FINETUNE)
 
@@ -39,6 +40,9 @@ class FittedTexture:
     method: the engine that draws new strands, PATCHES or FINETUNE. weights: (P,) float16, of the network that was
     trained on the strands, and architecture, its sizes; calibration: (2, 2, 2, Q), how far what it draws is off
     (``diffusion.calibration``). None of them for PATCHES.
+    waves: whether the strands are waves too weak for a centreline, whose axis is the mean over a turn.
+    shape: how radius and wavelength run from root to tip, where they are asked to; a strand is given it once it is
+    drawn. All else is said of even strands.
     """
 
     signals: NDArray[np.float64]
@@ -55,6 +59,18 @@ class FittedTexture:
     weights: NDArray[np.float16] = field(default_factory=lambda: np.empty(0, dtype=np.float16))
     architecture: dict[str, Any] = field(default_factory=dict)
     calibration: NDArray[np.float64] = field(default_factory=lambda: np.empty((2, 2, 2, 0)))
+    waves: bool = False
+    shape: Shape | None = None
+
+    @property
+    def finest_turn(self) -> float:
+        """The arc length [cm] of the shortest turn of new strands."""
+        return self.turn if self.shape is None else self.turn * self.shape.finest
+
+    @property
+    def wave_turn(self) -> float:
+        """The arc length [cm] of a turn where the strands are weak waves, else 0."""
+        return self.turn if self.waves else 0.0
 
     @property
     def strand_count(self) -> int:
@@ -86,6 +102,8 @@ def save_texture(texture: FittedTexture, path: str | Path) -> None:
         "radius": texture.radius,
         "wavelength": texture.wavelength,
         "architecture": texture.architecture,
+        "waves": texture.waves,
+        "shape": texture.shape and asdict(texture.shape),
     }
     arrays = {
         "manifest": np.array([json.dumps(manifest, sort_keys=True)]),
@@ -121,6 +139,7 @@ def load_texture(path: str | Path) -> FittedTexture:
         levels = arrays["calibration"].astype(np.float64, casting="safe")
         _check_arrays(values, starts, weights, method)
         _check_calibration(levels, method)
+        shape = manifest["shape"]
         return FittedTexture(
             signals=values,
             starts=starts,
@@ -129,6 +148,8 @@ def load_texture(path: str | Path) -> FittedTexture:
             method=method,
             weights=weights,
             calibration=levels,
+            waves=bool(manifest["waves"]),
+            shape=None if shape is None else Shape(**shape),
             architecture=dict(manifest["architecture"]),
             **{
                 name: float(manifest[name])

@@ -106,11 +106,18 @@ def measured(groom: Groom, grid: Grid) -> FittedTexture:
     turn = _arc_of_a_turn(sparse.canonical(), sparse.groom.offsets)
     # Centrelines, and so torsion, depend on how many points a turn has: as many as new strands are written with.
     guides = style_guides(_with_points_per_turn(sparse.groom, turn))
-    offsets = guides.groom.offsets
-    canonical = guides.canonical()
+    return measured_canonical(guides.canonical(), guides.groom.offsets, guides.lengths, grid)
+
+
+def measured_canonical(
+    canonical: NDArray[np.float64], offsets: NDArray[np.int64], lengths: NDArray[np.float64], grid: Grid
+) -> FittedTexture:
+    """What strands in canonical space are like: points (P, 3) by offsets (S + 1,), and the lengths (S,) of their axes.
+
+    They must have POINTS_PER_TURN points a turn.
+    """
     arcs = arc_lengths(canonical, offsets)
     radius, wavelength = winding(canonical, offsets)
-
     median_arc = float(np.median(arcs))
     turn = _arc_of_a_turn(canonical, offsets)
     cell_width = float(
@@ -126,7 +133,7 @@ def measured(groom: Groom, grid: Grid) -> FittedTexture:
         cell_width=cell_width,
         turn=turn,
         median_arc=median_arc,
-        arc_per_axis=float(np.median(arcs / np.maximum(guides.lengths, 1e-12))),
+        arc_per_axis=float(np.median(arcs / np.maximum(lengths, 1e-12))),
         radius=float(np.median(radius)),
         wavelength=float(np.nanmedian(wavelength)) if np.isfinite(wavelength).any() else float("nan"),
     )

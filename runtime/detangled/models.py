@@ -1,4 +1,5 @@
-"""Exported models: ONNX files, each with a JSON manifest that says what it is and what it takes to use it.
+"""Exported models: ONNX files, and a library of strands, each with a JSON manifest that says what it is and what it
+takes to use it.
 
 A model is used only where its manifest is whole, of this version, and its bytes are those the manifest was written
 for. Models come with detangled; the environment variable DETANGLED_MODELS names another folder.
@@ -34,19 +35,22 @@ DENOISER = "denoiser"
 TRAINING_STEP = "training step"
 LABELER = "labeler"
 LABELER_GRADIENT = "labeler gradient"
+LIBRARY = "library"
 FILES = {
     DENOISER: "denoiser.onnx",
     TRAINING_STEP: "training_step.onnx",
     LABELER: "labeler.onnx",
     LABELER_GRADIENT: "labeler_gradient.onnx",
+    LIBRARY: "library.npz",
 }
-_REMEDY = "install detangled again, or export the model anew (detangled train export)"
-_FIELDS = ("format", "version", "kind", "architecture", "parameters", "cells", "opset", "sha256", "training")
+_FIELDS = ("format", "version", "kind", "sha256", "training")
+_NETWORK_FIELDS = ("architecture", "parameters", "cells", "opset")
 _OWN_FIELDS: dict[str, tuple[str, ...]] = {
-    DENOISER: ("whitening", "schedule", "weights"),
-    TRAINING_STEP: ("whitening", "schedule", "batch"),
-    LABELER: ("batch",),
-    LABELER_GRADIENT: ("batch",),
+    DENOISER: (*_NETWORK_FIELDS, "whitening", "schedule", "weights"),
+    TRAINING_STEP: (*_NETWORK_FIELDS, "whitening", "schedule", "batch"),
+    LABELER: (*_NETWORK_FIELDS, "batch"),
+    LABELER_GRADIENT: (*_NETWORK_FIELDS, "batch"),
+    LIBRARY: (),
 }
 
 
@@ -124,8 +128,8 @@ def models_folder() -> Path:
 
 def load_model(kind: str, folder: Path | None = None) -> Model:
     """Read and verify a model, DENOISER or TRAINING_STEP. Raises ModelError where it is missing, damaged or other."""
-    manifest, path, data = _verified(kind, folder)
-    with _blaming(path):
+    manifest, path, data = verified(kind, folder)
+    with blaming(path):
         model = Model(
             **_common(manifest, path, kind, data, kind == TRAINING_STEP),
             whitening=Whitening(**{name: tuple(value) for name, value in manifest["whitening"].items()}),
@@ -139,21 +143,24 @@ def load_model(kind: str, folder: Path | None = None) -> Model:
 
 def load_labeler(kind: str = LABELER, folder: Path | None = None) -> ExportedModel:
     """Read and verify LABELER or LABELER_GRADIENT. Raises ModelError where it is missing, damaged or other."""
-    manifest, path, data = _verified(kind, folder)
-    with _blaming(path):
+    manifest, path, data = verified(kind, folder)
+    with blaming(path):
         return ExportedModel(**_common(manifest, path, kind, data, True))
 
 
-def _verified(kind: str, folder: Path | None) -> tuple[dict[str, Any], Path, bytes]:
-    """A model's manifest, its path, and its bytes, which are those that the manifest was written for."""
+def verified(kind: str, folder: Path | None) -> tuple[dict[str, Any], Path, bytes]:
+    """A model's manifest, its path, and its bytes, which are those that the manifest was written for.
+
+    Raises ModelError where it is missing, damaged or other.
+    """
     path = (folder or models_folder()) / FILES[kind]
     manifest = _manifest(path.with_suffix(".json"), kind)
     try:
         data = path.read_bytes()
     except OSError as error:
-        raise ModelError(f"{path}: cannot be read ({error.strerror}): {_REMEDY}") from error
+        raise ModelError(f"{path}: cannot be read ({error.strerror}): {_remedy(path)}") from error
     if hashlib.sha256(data).hexdigest() != manifest["sha256"]:
-        raise ModelError(f"{path}: its bytes are not those its manifest was written for: {_REMEDY}")
+        raise ModelError(f"{path}: its bytes are not those its manifest was written for: {_remedy(path)}")
     return manifest, path, data
 
 
@@ -178,12 +185,19 @@ def _common(manifest: dict[str, Any], path: Path, kind: str, data: bytes, batche
 
 
 @contextmanager
-def _blaming(path: Path) -> Iterator[None]:
+def blaming(path: Path) -> Iterator[None]:
     """Whatever is wrong with a manifest's values, said in one way."""
     try:
         yield
     except (ValueError, TypeError, KeyError, AttributeError, OverflowError, DetangledError) as error:
-        raise ModelError(f"{path.with_suffix('.json')}: damaged ({error}): {_REMEDY}") from error
+        raise ModelError(f"{path.with_suffix('.json')}: damaged ({error}): {_remedy(path)}") from error
+
+
+def _remedy(path: Path) -> str:
+    """What to do about a model or manifest that cannot be used."""
+    if path.stem == Path(FILES[LIBRARY]).stem:
+        return "install detangled again, or make the library anew (detangled train library)"
+    return "install detangled again, or export the model anew (detangled train export)"
 
 
 def _manifest(path: Path, kind: str) -> dict[str, Any]:
@@ -191,20 +205,21 @@ def _manifest(path: Path, kind: str) -> dict[str, Any]:
     try:
         manifest = json.loads(path.read_text(encoding="utf-8"))
     except OSError as error:
-        raise ModelError(f"{path}: cannot be read ({error.strerror}): {_REMEDY}") from error
+        raise ModelError(f"{path}: cannot be read ({error.strerror}): {_remedy(path)}") from error
     except ValueError as error:
-        raise ModelError(f"{path}: not a model's manifest, or damaged: {_REMEDY}") from error
+        raise ModelError(f"{path}: not a model's manifest, or damaged: {_remedy(path)}") from error
     if not isinstance(manifest, dict) or manifest.get("format") != FORMAT:
-        raise ModelError(f"{path}: not a model's manifest: {_REMEDY}")
+        raise ModelError(f"{path}: not a model's manifest: {_remedy(path)}")
     if manifest.get("version") != VERSION:
         raise ModelError(
-            f"{path}: a model of version {manifest.get('version')}; this detangled reads version {VERSION}: {_REMEDY}"
+            f"{path}: a model of version {manifest.get('version')}; this detangled reads version {VERSION}: "
+            f"{_remedy(path)}"
         )
     if manifest.get("kind", kind) != kind:
-        raise ModelError(f"{path}: a {manifest['kind']}, not a {kind}: {_REMEDY}")
+        raise ModelError(f"{path}: a {manifest['kind']}, not a {kind}: {_remedy(path)}")
     missing = [name for name in (*_FIELDS, *_OWN_FIELDS[kind]) if name not in manifest]
     if missing:
-        raise ModelError(f"{path}: the manifest lacks {', '.join(missing)}: {_REMEDY}")
+        raise ModelError(f"{path}: the manifest lacks {', '.join(missing)}: {_remedy(path)}")
     return manifest
 
 

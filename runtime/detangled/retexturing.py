@@ -78,7 +78,7 @@ def retexture(
     goals = guides.lengths
     if options.length is Length.STRAND:
         goals = arc_lengths(guides.groom.points, guides.groom.offsets)
-    arcs, short = _arcs_to_make(texture, goals, options.length)
+    arcs, short = arcs_to_make(texture, goals, options.length)
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
         roots=guides.canonical()[guides.groom.offsets[:-1]],
@@ -86,6 +86,8 @@ def retexture(
         goals=goals,
         short=short,
         dropped=DROPPED_TURNS * texture.turn,
+        wave_turn=texture.wave_turn,
+        shape=texture.shape,
     )
     passed_through = np.setdiff1d(np.arange(groom.strand_count), guides.kept)
     strands: list[NDArray[np.float64]] = [np.empty((0, 3))] * groom.strand_count
@@ -128,12 +130,17 @@ def retexture(
     )
 
 
-def _arcs_to_make(
+def arcs_to_make(
     texture: FittedTexture, goals: NDArray[np.float64], length: Length
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Arc lengths (S,) [cm] to ask the sampler for, and which strands will be cut to length instead of scaled."""
     arcs = goals * texture.arc_per_axis if length is Length.GUIDE else goals.copy()
+    if texture.shape is not None:
+        arcs *= texture.shape.drawn_depth if length is Length.GUIDE else texture.shape.drawn_arc
     least = FEWEST_TURNS * texture.turn
+    if texture.waves:
+        # Ends without an axis, of every strand.
+        return CUT_MARGIN * arcs + 2.0 * DROPPED_TURNS * texture.turn, np.ones(len(arcs), dtype=np.bool_)
     short = (arcs < least) & (texture.median_arc >= least)
     arcs[short] = CUT_MARGIN * least + DROPPED_TURNS * texture.turn
     return arcs, short
@@ -164,4 +171,4 @@ def _points_needed(
     texture: FittedTexture, points: NDArray[np.float64], offsets: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Points (S,) that give every turn of the texture enough."""
-    return np.ceil(POINTS_PER_TURN * arc_lengths(points, offsets) / texture.turn).astype(np.int64) + 1
+    return np.ceil(POINTS_PER_TURN * arc_lengths(points, offsets) / texture.finest_turn).astype(np.int64) + 1

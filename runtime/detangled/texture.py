@@ -59,9 +59,19 @@ class TextureParameters:
         _check("curl radius", self.radius, RADIUS_LIMITS, "cm")
         _check("curl wavelength", self.wavelength, WAVELENGTH_LIMITS, "cm")
         _check("twist prevalence", self.twist, SHARE_LIMITS, "")
-        _check("thickness", self.thickness, THICKNESS_LIMITS, "um")
+        check_thickness(self.thickness)
         _check("axis ratio", self.axis_ratio, AXIS_RATIO_LIMITS, "")
-        _check("porosity", self.porosity, SHARE_LIMITS, "")
+        check_porosity(self.porosity)
+
+
+def check_thickness(thickness: float) -> None:
+    """Raise TextureError for a thickness [um] outside what hair has."""
+    _check("thickness", thickness, THICKNESS_LIMITS, "um")
+
+
+def check_porosity(porosity: float) -> None:
+    """Raise TextureError for a porosity outside 0 to 1."""
+    _check("porosity", porosity, SHARE_LIMITS, "")
 
 
 def _check(name: str, value: float, limits: tuple[float, float], unit: str) -> None:

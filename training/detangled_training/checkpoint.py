@@ -14,7 +14,6 @@ from torch import Tensor
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
 from detangled.errors import DetangledError, ModelError, WriteError
-from detangled.formats import check_folder
 from detangled_training.parameters import restore
 from detangled_training.unet import Architecture, UNet
 
@@ -99,15 +98,6 @@ def write_checkpoint(checkpoint: Checkpoint, path: Path) -> None:
         raise WriteError(f"{path}: cannot be written ({error})") from error
     finally:
         temporary.unlink(missing_ok=True)
-
-
-def make_folder(folder: Path) -> None:
-    """Make a folder where there is none, before hours of work that end in it. Raises WriteError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{folder}: cannot be made a folder ({error.strerror})") from error
-    check_folder(folder / CHECKPOINT)
 
 
 def architecture_of(plain: Mapping[str, Any]) -> Architecture:

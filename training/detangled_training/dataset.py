@@ -12,7 +12,6 @@ import json
 import multiprocessing
 import os
 import signal
-import subprocess
 from collections.abc import Callable, Generator, Iterator, Mapping, Sequence
 from concurrent.futures import ProcessPoolExecutor, as_completed
 from concurrent.futures.process import BrokenProcessPool
@@ -27,8 +26,9 @@ from numpy.typing import ArrayLike, NDArray
 
 from detangled.archives import DAMAGE, read_arrays, write_arrays
 from detangled.errors import DetangledError, ReadError, WriteError
-from detangled.formats import check_folder, replacing
+from detangled.formats import replacing
 from detangled.kernels import set_threads, thread_count
+from detangled_training.provenance import commit, make_folder
 from detangled_training.variants import VariantOptions, make_variants
 
 Labels = dict[str, NDArray[Any]]
@@ -230,23 +230,9 @@ def read_dataset(folder: Path, split: int | None = None, columns: Sequence[str] 
     return Dataset(signals[:end], labels, _origin(folder, manifest, split))
 
 
-def commit() -> str:
-    """The commit this code is at, "" where it is not in a repository."""
-    command = ["git", "rev-parse", "HEAD"]
-    try:
-        run = subprocess.run(command, cwd=Path(__file__).parent, capture_output=True, text=True, check=False)
-    except OSError:  # no git
-        return ""
-    return run.stdout.strip()
-
-
 def _begin(folder: Path, asked: Manifest) -> tuple[Manifest, list[int]]:
     """The manifest to go on from, and the numbers of the shards that are missing. Raises WriteError, ReadError."""
-    try:
-        folder.mkdir(parents=True, exist_ok=True)
-    except OSError as error:
-        raise WriteError(f"{folder}: cannot be made a folder: {error.strerror}") from error
-    check_folder(folder / MANIFEST)
+    make_folder(folder)
     if not (folder / MANIFEST).exists():
         if any(folder.glob("shard-*.npz")):
             raise WriteError(f"{folder}: holds shards but no {MANIFEST}: name another folder")

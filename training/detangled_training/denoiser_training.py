@@ -10,9 +10,10 @@ been, and several processes (torchrun) share the very batches that one would see
 
 from __future__ import annotations
 
+import hashlib
 import math
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Sequence
 from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
@@ -24,24 +25,27 @@ from torch import Tensor
 
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
-from detangled.errors import ModelError
+from detangled.errors import ModelError, ReadError
+from detangled.models import DENOISER, Model, load_model
+from detangled.texture import TWISTS_PER_CM
 from detangled_training.checkpoint import (
     CHECKPOINT,
     Checkpoint,
     State,
     architecture_of,
-    make_folder,
     read_checkpoint,
     write_checkpoint,
 )
-from detangled_training.dataset import commit
+from detangled_training.dataset import TRAIN, VALIDATION, Dataset, read_dataset
 from detangled_training.parameters import Optimizer, flatten, flatten_tensors, layout, restore, torch_optimizer
 from detangled_training.processes import Processes
-from detangled_training.signals import CELLS, pooled_whitening, procedural_signals
+from detangled_training.provenance import commit, make_folder
+from detangled_training.signals import pooled_whitening
 from detangled_training.unet import Architecture, UNet
 
 WHITENED_BY = 4000  # signals that the whitening is taken from
 HELD_OUT = 512
+COLUMNS = ("radius", "wavelength", "twists", "length", "position", "read")
 HELD_OUT_SEED = 1
 EVALUATED_AT = 8  # noise levels, evenly spaced in time
 LEAST_RATE = 0.01  # of the learning rate, at the end
@@ -56,16 +60,14 @@ LEAST_PART = 0.05
 
 @dataclass(frozen=True)
 class TrainingOptions:
-    """How a denoiser is trained. strands: procedural ones to train on. average: decay of the weights' mean."""
+    """How a denoiser is trained. average: decay of the weights' mean."""
 
-    strands: int = 20_000
-    steps: int = 2_000
+    steps: int = 20_000
     batch: int = 32
     learning_rate: float = 4e-4
     warm_up: int = 200
     average: float = 0.999
     seed: int = 0
-    cells: int = CELLS
     evaluate_every: int = 500
     save_every: int = 250
     architecture: Architecture = field(default_factory=Architecture)
@@ -81,17 +83,49 @@ class TrainingOptions:
 
 @dataclass(frozen=True)
 class Samples:
-    """Signals of strands to train on, all float32.
+    """Signals (S, L, 3) of strands to train on, kappa, tau [1/cm] and v [cm per t], all float32.
 
-    channels: (S, 3, L), whitened all alike. own: (S, 3, L), each whitened by itself, as a few strands of one texture
-    are when the network is fitted to them. asked: (S, 4), what one may ask for. position: (S, 2), the part of its ramp
-    that each covers.
+    asked: (S, 4), what one may ask for. position: (S, 2), the part of its strand that each covers.
     """
 
-    channels: NDArray[np.float32]
-    own: NDArray[np.float32]
+    signals: NDArray[np.float32]
     asked: NDArray[np.float32]
     position: NDArray[np.float32]
+
+    def __len__(self) -> int:
+        return len(self.signals)
+
+    @property
+    def cells(self) -> int:
+        return self.signals.shape[1]
+
+    @classmethod
+    def of(cls, data: Sequence[Dataset]) -> Samples:
+        """Those of data sets, but for strands as files hold them. Raises ReadError where their cells differ."""
+        if len({one.signals.shape[1] for one in data}) != 1:
+            raise ReadError("the data sets' signals are of different cells: make them alike")
+        parts = []
+        for one in data:
+            labels = one.labels
+            lengths = one.signals[:, :, 2].mean(axis=1)
+            twist = np.clip(labels["twists"] / (TWISTS_PER_CM * labels["length"]), 0.0, 1.0)
+            asked = np.stack([np.log(labels["radius"]), np.log(labels["wavelength"]), twist, np.log(lengths)], axis=1)
+            kept = ~labels["read"]
+            parts.append(
+                [array[kept].astype(np.float32, copy=False) for array in (one.signals, asked, labels["position"])]
+            )
+        return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
+
+    def select(self, chosen: NDArray[np.int64]) -> Samples:
+        """Some of them."""
+        return Samples(self.signals[chosen], self.asked[chosen], self.position[chosen])
+
+    def whitening(self) -> Whitening:
+        """What suits them all, and their mirrored ones: torsion has the mean 0."""
+        some = np.linspace(0, len(self) - 1, min(len(self), WHITENED_BY)).astype(np.int64)
+        whitening = pooled_whitening(self.signals[some])
+        curvature, _, speed = whitening.mean
+        return replace(whitening, mean=(curvature, 0.0, speed))
 
 
 @dataclass(frozen=True)
@@ -128,32 +162,20 @@ def begun(checkpoint: Checkpoint, path: Path) -> tuple[State, TrainingOptions]:
     return checkpoint.state, options
 
 
-def make_samples(
-    count: int, seed: int, cells: int, whitening: Whitening | None, progress: Callable[[int], object] | None = None
-) -> tuple[Samples, Whitening]:
-    """Procedural signals with their labels, whitened as told, or by their own first some thousands."""
-    values, labels = procedural_signals(count, seed, cells, progress=progress)
-    if whitening is None:
-        whitening = pooled_whitening(values[:WHITENED_BY])
-        curvature, _, speed = whitening.mean
-        whitening = replace(whitening, mean=(curvature, 0.0, speed))
-    channels = np.concatenate([whitening.whiten(part.astype(np.float64)) for part in np.array_split(values, 64)])
-    own = np.stack([Whitening.of([value]).whiten(value) for value in values.astype(np.float64)]).astype(np.float32)
-    lengths = values[:, :, 2].mean(axis=1)
-    asked = np.stack([np.log(labels.radius), np.log(labels.wavelength), labels.twist, np.log(lengths)], axis=1)
-    position = labels.position.astype(np.float32)
-    return Samples(channels.astype(np.float32), own, asked.astype(np.float32), position), whitening
-
-
-def draw_batch(samples: Samples, schedule: CosineSchedule, options: TrainingOptions, step: int) -> Batch:
+def draw_batch(
+    samples: Samples, whitening: Whitening, schedule: CosineSchedule, options: TrainingOptions, step: int
+) -> Batch:
     """The whole batch of a step, drawn from the seed and the step's number."""
     rng = np.random.default_rng([options.seed, step])
     size = options.batch
-    chosen = rng.integers(len(samples.channels), size=size)
+    chosen = rng.integers(len(samples), size=size)
     by_itself = rng.uniform(size=size) < BY_ITSELF
-    clean = np.where(by_itself[:, None, None], samples.own[chosen], samples.channels[chosen])
-    # A mirrored strand is as likely; both whitenings of it are those of the strand, with the other sign.
-    clean[rng.uniform(size=size) < 0.5, 1] *= -1.0
+    values = samples.signals[chosen].astype(np.float64)
+    # A mirrored strand is as likely.
+    values[rng.uniform(size=size) < 0.5, :, 1] *= -1.0
+    clean = whitening.whiten(values)
+    for k in np.flatnonzero(by_itself):
+        clean[k] = Whitening.of([values[k]]).whiten(values[k])
     # One time in each of as many equal parts: less noise in the loss.
     times = (rng.permutation(size) + rng.uniform(size=size)) / size
     known = (rng.uniform(size=(size, 4)) >= UNASKED) & (rng.uniform(size=(size, 1)) >= UNASKED)
@@ -162,13 +184,13 @@ def draw_batch(samples: Samples, schedule: CosineSchedule, options: TrainingOpti
     share = np.where(rng.uniform(size=size) < PART_OF_LONGER, LEAST_PART ** rng.uniform(size=size), 1.0)
     begin = rng.uniform(size=size) * (1.0 - share)
     ramp = begin[:, None] + share[:, None] * ramp
-    noise = rng.standard_normal(clean.shape, dtype=np.float32)
+    noise = rng.standard_normal(clean.shape)
     return _noisy(clean, noise, times, ramp, samples.asked[chosen], known, schedule)
 
 
 def _noisy(
-    clean: NDArray[np.float32],
-    noise: NDArray[np.float32],
+    clean: NDArray[np.float64],
+    noise: NDArray[np.float64],
     times: NDArray[np.float64],
     ramp: NDArray[np.float64],
     asked: NDArray[np.float32],
@@ -185,15 +207,24 @@ def _noisy(
 class Training:
     """A denoiser in training: its weights, their average, the optimiser's state, and how it went so far.
 
-    Where its folder holds a checkpoint it goes on from there. Raises ModelError where that was begun with other
-    options, WriteError where the folder cannot be written to.
+    Where its folder holds a checkpoint it goes on from there. data: folders of data sets. start: a folder of exported
+    models, whose denoiser a new training begins with. Raises ModelError where the checkpoint was begun with other
+    options or another model, or the model is of other sizes, WriteError where the folder cannot be written to.
     """
 
-    def __init__(self, options: TrainingOptions, folder: Path, note: Callable[[str], object] = lambda text: None):
-        self.options, self.folder = options, folder
+    def __init__(
+        self,
+        options: TrainingOptions,
+        folder: Path,
+        data: Sequence[Path],
+        start: Path | None = None,
+        note: Callable[[str], object] = lambda text: None,
+    ) -> None:
+        self.options, self.folder, self.folders = options, folder, tuple(data)
         self.processes = Processes(options.batch)
         self.device = self.processes.device
         self.note = note if self.processes.rank == 0 else lambda text: None
+        model = None if start is None else load_model(DENOISER, start)
         make_folder(folder)
         torch.manual_seed(options.seed)
         self.network = UNet(options.architecture).to(self.device)
@@ -203,18 +234,32 @@ class Training:
         self.step = 0
         self.seconds = 0.0
         self.history: list[tuple[int, float, float]] = []  # step, mean loss since the last, held-out loss
-        self.whitening = self._resume()
+        self.whitening: Whitening | None = None  # that of the data, where the training does not go on from another
+        self.origin: dict[str, Any] = {}
+        if self.path.exists():
+            self._resume(model)
+        elif model is not None:
+            self._begin_with(model)
 
     @property
     def path(self) -> Path:
         return self.folder / CHECKPOINT
 
-    def prepare(self, progress: Callable[[int], object] | None = None) -> Data:
-        """Make the data. progress: told how many strands were made."""
-        options = self.options
-        samples, whitening = make_samples(options.strands, options.seed, options.cells, self.whitening, progress)
-        held_out, _ = make_samples(HELD_OUT, options.seed + HELD_OUT_SEED, options.cells, whitening)
-        return Data(samples, held_out, whitening)
+    def prepare(self) -> Data:
+        """Read the data. Raises what ``read_dataset`` raises, and ModelError where a training was begun with others."""
+        train, held_out = (
+            [read_dataset(folder, split, COLUMNS) for folder in self.folders] for split in (TRAIN, VALIDATION)
+        )
+        origins = [one.origin for one in train]
+        before = self.origin.get("data", origins)
+        if [one["sha256"] for one in before] != [one["sha256"] for one in origins]:
+            raise ModelError(f"{self.path}: begun with other strands: give the same data sets, or another folder")
+        self.origin["data"] = origins
+        samples, tried = Samples.of(train), Samples.of(held_out)
+        if len(samples) == 0 or len(tried) == 0:
+            raise ReadError("too few strands: none of them is for training, or none is held out")
+        some = np.linspace(0, len(tried) - 1, min(len(tried), HELD_OUT)).astype(np.int64)
+        return Data(samples, tried.select(some), self.whitening or samples.whitening())
 
     def run(self, data: Data | None = None, progress: Callable[[int, float], object] | None = None) -> None:
         """Train up to the last step, saving and evaluating on the way. progress: told each step done and its loss."""
@@ -223,19 +268,19 @@ class Training:
         losses = []
         began = time.monotonic()
         while self.step < options.steps:
-            loss = self._train(draw_batch(data.samples, self.schedule, options, self.step))
+            loss = self._train(draw_batch(data.samples, data.whitening, self.schedule, options, self.step))
             losses.append(loss)
             self.step += 1
             last = self.step == options.steps
             if self.step % options.evaluate_every == 0 or last:
-                score = self.evaluate(data.held_out)
+                score = self.evaluate(data)
                 self.history.append((self.step, float(np.mean(losses)), score))
                 self.note(f"step {self.step}: loss {np.mean(losses):.4f}, held out {score:.4f}")
                 losses = []
             if self.step % options.save_every == 0 or last:
                 self.seconds += time.monotonic() - began
                 began = time.monotonic()
-                self.save(data.whitening)
+                self.save(data)
             if progress is not None:
                 progress(self.step, loss)
 
@@ -271,30 +316,31 @@ class Training:
                 self.average[name].lerp_(value, 1.0 - decay)
         return float(loss.detach())
 
-    def evaluate(self, samples: Samples) -> float:
-        """The averaged network's loss on samples, asked for, at always the same noise levels and noise."""
+    def evaluate(self, data: Data) -> float:
+        """The averaged network's loss on what was held out, asked for, at always the same noise levels and noise."""
+        samples = data.held_out
         network = UNet(self.options.architecture).to(self.device)
         network.load_state_dict({**network.state_dict(), **self.average})
         network.eval()
+        clean = data.whitening.whiten(samples.signals.astype(np.float64))
         total = 0.0
         for level in range(EVALUATED_AT):
             rng = np.random.default_rng([HELD_OUT_SEED, level])
-            count = len(samples.channels)
-            noise = rng.standard_normal(samples.channels.shape, dtype=np.float32)
+            count = len(samples)
+            noise = rng.standard_normal(clean.shape)
             times = np.full(count, (level + 0.5) / EVALUATED_AT)
             known = np.ones((count, 4), dtype=bool)
-            everything = _noisy(
-                samples.channels, noise, times, samples.position.astype(np.float64), samples.asked, known, self.schedule
-            )
+            position = samples.position.astype(np.float64)
+            everything = _noisy(clean, noise, times, position, samples.asked, known, self.schedule)
             for first in range(0, count, 128):
                 part = slice(first, first + 128)
                 given = (everything.noisy, everything.log_snr, everything.position, everything.asked, everything.known)
                 with torch.no_grad():
                     predicted = network(*(tensor[part].to(self.device) for tensor in given)).cpu()
                 total += float(((predicted - everything.clean[part]) ** 2).sum())
-        return total / (EVALUATED_AT * samples.channels.size)
+        return total / (EVALUATED_AT * clean.size)
 
-    def save(self, whitening: Whitening) -> None:
+    def save(self, data: Data) -> None:
         """Write the checkpoint."""
         if self.processes.rank:
             return
@@ -309,9 +355,9 @@ class Training:
         checkpoint = Checkpoint(
             architecture=self.options.architecture,
             weights=flatten_tensors(self.average, layout(self.network)),
-            whitening=whitening,
+            whitening=data.whitening,
             schedule=self.schedule,
-            cells=self.options.cells,
+            cells=data.samples.cells,
             training=self.report(),
             state=state,
         )
@@ -321,20 +367,18 @@ class Training:
         """What a manifest says of a training: data, seeds, steps, scores, time and place."""
         return {
             "commit": commit(),
-            "data": f"{self.options.strands} procedural strands of the eight types, mirrored",
+            **self.origin,
             **{k: v for k, v in self.options.plain.items() if k not in ("architecture", "optimizer")},
             "steps_done": self.step,
             "seconds": round(self.seconds),
             "device": self.processes.device_name,
             "processes": self.processes.world,
-            "held_out_strands": HELD_OUT,
+            "held_out_signals": HELD_OUT,
             "history": [[step, round(loss, 5), round(score, 5)] for step, loss, score in self.history],
         }
 
-    def _resume(self) -> Whitening | None:
-        """Go on from a checkpoint that is there, and return its whitening."""
-        if not self.path.exists():
-            return None
+    def _resume(self, model: Model | None) -> None:
+        """Go on from the checkpoint, which was begun with this model, where one is given."""
         stored = read_checkpoint(self.path)
         state, options = begun(stored, self.path)
         mine, theirs = self.options.plain, options.plain
@@ -342,10 +386,23 @@ class Training:
         if differing:
             names = ", ".join(name.replace("_", " ") for name in differing)
             raise ModelError(f"{self.path}: begun with another {names}: give the same, or another folder")
+        begun_with = stored.training.get("start", {}).get("sha256")
+        if model is not None and begun_with != hashlib.sha256(model.data).hexdigest():
+            raise ModelError(f"{self.path}: not begun with {model.path}: leave --start out, or name another folder")
         restore(self.network, state.current)
         averaged = stored.network().named_parameters()
         self.average = {name: value.detach().clone().to(self.device) for name, value in averaged}
         self.optimizer.load_state_dict(state.optimizer)
         self.step, self.seconds, self.history = state.step, state.seconds, list(state.history)
+        self.whitening = stored.whitening
+        self.origin = {name: stored.training[name] for name in ("data", "start") if name in stored.training}
         self.note(f"{self.path}: going on from step {self.step}")
-        return stored.whitening
+
+    def _begin_with(self, model: Model) -> None:
+        """Begin with a model's weights, in data whitened as its own were."""
+        if model.architecture != self.options.plain["architecture"]:
+            raise ModelError(f"{model.path}: a network of other sizes: {model.architecture}")
+        restore(self.network, torch.from_numpy(model.weights.astype(np.float32)))
+        self.average = {name: value.detach().clone() for name, value in self.network.named_parameters()}
+        self.whitening = model.whitening
+        self.origin = {"start": {"sha256": hashlib.sha256(model.data).hexdigest(), "training": model.training}}

@@ -20,11 +20,11 @@ from torch.fx.experimental.proxy_tensor import make_fx
 from detangled.errors import ModelError
 from detangled.labeling import CELLS
 from detangled.models import FILES, FORMAT, LABELER, LABELER_GRADIENT, VERSION
-from detangled_training.checkpoint import make_folder
 from detangled_training.labeler import Labeler, LabelerSizes
 from detangled_training.labeler_training import read_labelers
 from detangled_training.onnx_files import OPSET, Exported, difference, serialized, session, write_model
 from detangled_training.onnx_translation import Translator
+from detangled_training.provenance import make_folder
 
 BATCH = 64  # signals at once: fewer would leave the loops over their cells idle
 LABELS = 3  # radius, wavelength [cm], twist

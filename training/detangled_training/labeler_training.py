@@ -22,10 +22,10 @@ from torch.nn import functional
 
 from detangled.errors import ModelError, ReadError, WriteError
 from detangled.texture import HAIR_TYPES, TWISTS_PER_CM
-from detangled_training.checkpoint import make_folder
-from detangled_training.dataset import SPLIT_NAMES, TEST, TRAIN, VALIDATION, Dataset, commit, read_dataset
+from detangled_training.dataset import SPLIT_NAMES, TEST, TRAIN, VALIDATION, Dataset, read_dataset
 from detangled_training.labeler import Labeler, LabelerSizes
 from detangled_training.processes import Processes
+from detangled_training.provenance import commit, make_folder
 from detangled_training.strands import UNTYPED
 
 CHECKPOINT = "labelers.pt"

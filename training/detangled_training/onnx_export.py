@@ -22,7 +22,7 @@ from torch.fx.experimental.proxy_tensor import make_fx
 
 from detangled.errors import ModelError
 from detangled.models import DENOISER, FORMAT, TRAINING_STEP, VERSION
-from detangled_training.checkpoint import Checkpoint, make_folder
+from detangled_training.checkpoint import Checkpoint
 from detangled_training.onnx_files import OPSET, Exported, difference, serialized, session, write_model
 from detangled_training.onnx_translation import Translator
 from detangled_training.parameters import (
@@ -36,6 +36,7 @@ from detangled_training.parameters import (
     torch_step,
     views,
 )
+from detangled_training.provenance import make_folder
 from detangled_training.unet import CHANNELS, CONDITIONS, UNet
 
 BATCH = 8  # samples of a training step

@@ -1,4 +1,4 @@
-"""Procedural strands as signals for training: straightened into canonical space, then kappa, tau and v on a grid.
+"""Strands as signals for training: straightened into canonical space, then kappa, tau and v on a grid.
 
 Paper section "Data Generation and Curation". Twists tilt a strand's axis at random; its centreline takes that away.
 A centreline needs turns to be found, so every strand is made with more hair before its root and beyond its tip, is
@@ -8,15 +8,12 @@ known least well, are gone.
 
 from __future__ import annotations
 
-from collections.abc import Callable
-from dataclasses import dataclass, fields
+from dataclasses import dataclass
 
 import numpy as np
 from numpy.typing import NDArray
 
 from detangled.diffusion.whitening import Whitening
-from detangled.errors import TextureError
-from detangled.geometry.arc import arc_lengths
 from detangled.geometry.centerline import LEAST_CURL, centerlines
 from detangled.geometry.signal import signals
 from detangled.geometry.winding import STRAIGHT_RADIUS, winding
@@ -24,13 +21,7 @@ from detangled.groom import offsets_of
 from detangled.grooming.guides import to_canonical
 from detangled.labeling import LOWER_PART
 from detangled.texture import arc_of_a_turn
-from detangled_training.strands import Recipes, Strands, characteristic, draw_recipes, make_strands
-
-CELLS = 256
-# Rebuilt from its cells, a twisted strand of type VIII drifts by 2.0 radii over its whole length with 8 cells a turn,
-# by 1.0 with 16 and by 0.8 with 24 (medians of 300, T_f about 0.8).
-CELLS_PER_TURN = 16.0
-CHUNK = 256  # strands made at once: some tens of megabytes
+from detangled_training.strands import Recipes, Strands
 
 # Turns that a strand is straightened with, and how many of them at least lie beyond each end.
 FEWEST_TURNS = 8.0
@@ -40,35 +31,6 @@ DROPPED_TURNS = 1.5
 MOST_TURNS = 24.0
 CURL_MARGIN = 1.2  # on what the centreline asks for
 
-_CROP = 2  # tells the stream that places the crop from the others of a strand
-
-
-@dataclass(frozen=True)
-class SignalLabels:
-    """What is known of each signal, an array (S,) each unless said.
-
-    kind: int8, index into HAIR_TYPES. radius, wavelength [cm], twist (T_f), length [cm] of arc, hand (+1 or -1),
-    twists (how many): as constructed (``Strands``).
-    lower_radius, lower_wavelength [cm]: before twisting, of the lower part of the signal, as people name them.
-    arc: [cm], arc length of the canonical strand, which the mean of v is for a whole one.
-    turns: of the untwisted helix, over the whole strand. straightened: whether its axis was found and straightened.
-    position: (S, 2), the part [t0, t1] of the strand's ramp from root to tip that the signal covers.
-    """
-
-    kind: NDArray[np.int8]
-    radius: NDArray[np.float64]
-    wavelength: NDArray[np.float64]
-    twist: NDArray[np.float64]
-    length: NDArray[np.float64]
-    hand: NDArray[np.int8]
-    twists: NDArray[np.int64]
-    lower_radius: NDArray[np.float64]
-    lower_wavelength: NDArray[np.float64]
-    arc: NDArray[np.float64]
-    turns: NDArray[np.float64]
-    straightened: NDArray[np.bool_]
-    position: NDArray[np.float64]
-
 
 @dataclass(frozen=True)
 class Straightened:
@@ -77,35 +39,6 @@ class Straightened:
     points: NDArray[np.float64]
     offsets: NDArray[np.int64]
     found: NDArray[np.bool_]
-
-
-def procedural_signals(
-    count: int,
-    seed: int,
-    cells: int = CELLS,
-    first: int = 0,
-    cells_per_turn: float = CELLS_PER_TURN,
-    progress: Callable[[int], object] | None = None,
-) -> tuple[NDArray[np.float32], SignalLabels]:
-    """Signals (count, cells, 3) of procedural strands ``first`` to ``first + count`` of a seed, and their labels.
-
-    kappa, tau [1/cm] and v [cm per t], t from 0 to 1 over the signal. The type of each is drawn from the eight, all
-    alike. A strand of more turns than the cells can hold, at ``cells_per_turn``, is put on a finer grid, and a random
-    stretch of it taken. A strand depends on the seed and its number alone. progress: told how many were finished.
-    """
-    if count < 1 or cells < 1:
-        raise TextureError(f"signals must be at least one, of at least one cell, not {count} of {cells}")
-    out = np.empty((count, cells, 3), dtype=np.float32)
-    parts = []
-    for start in range(0, count, CHUNK):
-        size = min(CHUNK, count - start)
-        recipes = draw_recipes(size, seed, first + start)
-        labels = _fill(recipes, seed, cells_per_turn, out[start : start + size])
-        parts.append(labels)
-        if progress is not None:
-            progress(size)
-    names = [field.name for field in fields(SignalLabels)]
-    return out, SignalLabels(**{name: np.concatenate([getattr(part, name) for part in parts]) for name in names})
 
 
 def pooled_whitening(values: NDArray[np.floating]) -> Whitening:
@@ -124,9 +57,13 @@ def margins(recipes: Recipes) -> NDArray[np.float64]:
     return np.where(least > MOST_TURNS, 0.0, np.maximum(missing, DROPPED_TURNS) * turn)
 
 
-def straightened(strands: Strands) -> Straightened:
-    """The bodies of strands in canonical space, cut from the whole; where no axis is found they stay as they are."""
-    guides, _ = centerlines(strands.points, strands.offsets)
+def straightened(strands: Strands, guides: NDArray[np.float64] | None = None) -> Straightened:
+    """The bodies of strands in canonical space, cut from the whole; where no axis is found they stay as they are.
+
+    guides: (P, 3), their axes where they are known.
+    """
+    if guides is None:
+        guides, _ = centerlines(strands.points, strands.offsets)
     canonical = to_canonical(strands.points, guides, strands.offsets)
     # A strand without curl is its own centreline, and would lie on the axis.
     found = winding(canonical, strands.offsets)[0] >= STRAIGHT_RADIUS
@@ -135,31 +72,6 @@ def straightened(strands: Strands) -> Straightened:
     rows = np.arange(offsets[-1]) + np.repeat(strands.body[:, 0] - offsets[:-1], counts)
     points = np.where(np.repeat(found, counts)[:, None], canonical[rows], strands.points[rows])
     return Straightened(points, offsets, found)
-
-
-def _fill(recipes: Recipes, seed: int, cells_per_turn: float, out: NDArray[np.float32]) -> SignalLabels:
-    """Fill ``out`` (S, L, 3) with the signals of recipes."""
-    strands = make_strands(recipes, seed, margins(recipes))
-    canonical = straightened(strands)
-    turns = strands.length / arc_of_a_turn(strands.radius, strands.wavelength)
-    share = np.array([np.random.default_rng([seed, int(number), _CROP]).random() for number in recipes.number])
-    position = on_grids(canonical, turns, cells_per_turn, share, out)
-    lower_radius, lower_wavelength = characteristic(recipes, lower_begin(position), position[:, 1])
-    return SignalLabels(
-        kind=strands.kind,
-        radius=strands.radius,
-        wavelength=strands.wavelength,
-        twist=strands.twist,
-        length=strands.length,
-        hand=strands.hand,
-        twists=strands.twists,
-        lower_radius=lower_radius,
-        lower_wavelength=lower_wavelength,
-        arc=arc_lengths(canonical.points, canonical.offsets),
-        turns=turns,
-        straightened=canonical.found,
-        position=position,
-    )
 
 
 def on_grids(

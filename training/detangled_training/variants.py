@@ -10,6 +10,7 @@ and all, there are no hand labels here. Of such a smooth coil they follow from c
 
 from __future__ import annotations
 
+from collections.abc import Iterator
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -78,16 +79,21 @@ def make_variants(first: int, count: int, seed: int, options: VariantOptions) ->
     if options.read_share > 0.0 and options.cells != CELLS:
         raise TextureError(f"strands that are read have signals of {CELLS} cells, not of {options.cells}")
     recipes = draw_recipes(count, seed, first, untyped=options.untyped)
-    strands = make_strands(recipes, seed, margins(recipes))
     parts = []
     if options.hung == 0:
+        strands = make_strands(recipes, seed, margins(recipes))
         parts.extend(_both(strands, recipes, None, None, seed, options, _unhung(count)))
-    else:
-        twins = make_strands(replace(recipes, twist=np.zeros(count)), seed)
-        strands = upright(strands, twins)
-        for variant in range(options.hung):
-            parts.extend(_hung(strands, recipes, twins, seed, options, variant))
+    for variant in range(options.hung):
+        for hung in hung_strands(recipes, seed, variant):
+            own = len(hung.recipes)
+            about: Columns = {
+                "variant": np.full(own, variant, dtype=np.int8),
+                "stretched": np.full(own, hung.stretched),
+            }
+            about |= hung.fibres
+            parts.extend(_both(hung.strands, hung.recipes, hung.radius, hung.wavelength, seed, options, about))
     if not parts:
+        strands = make_strands(recipes, seed, margins(recipes))
         ((values, columns), *_) = _both(strands, recipes, None, None, seed, options, _unhung(count))
         return values[:0], {name: column[:0] for name, column in columns.items()}
     values = np.concatenate([values for values, _ in parts])
@@ -127,7 +133,7 @@ def _both(
         if radius is None or wavelength is None:
             own = characteristic(recipes.select(chosen), begin, end)
         else:
-            own = _means_between(radius[chosen], wavelength[chosen], begin, end)
+            own = means_between(radius[chosen], wavelength[chosen], begin, end)
         known = {
             "base": recipes.number, "kind": strands.kind, "twist": strands.twist, "twists": strands.twists,
             "length": strands.length, "hand": strands.hand, "turns": turns, **about,
@@ -163,32 +169,60 @@ def _both(
     return parts
 
 
-def _hung(
-    strands: Strands, recipes: Recipes, twins: Strands, seed: int, options: VariantOptions, variant: int
-) -> list[tuple[NDArray[np.float32], Columns]]:
-    """Upright strands hung wet with fibres of their own, from the rest pose and, where it matters, stretched."""
+@dataclass(frozen=True)
+class Hanging:
+    """Strands as they hang, with margins; of each the recipe it was made by.
+
+    radius, wavelength: (S, N) [cm] along each strand's twin, which hangs without twists. stretched: whether they hung
+    from the stretched pose. fibres: (S,) each.
+    """
+
+    strands: Strands
+    recipes: Recipes
+    radius: NDArray[np.float64]
+    wavelength: NDArray[np.float64]
+    stretched: bool
+    fibres: Columns
+
+
+def hung_strands(
+    recipes: Recipes,
+    seed: int,
+    variant: int,
+    poses: tuple[bool, ...] = (False, True),
+    margin: NDArray[np.float64] | None = None,
+) -> Iterator[Hanging]:
+    """Strands hung wet with fibres of their own, from the rest pose and, where it ends otherwise, from a stretched one.
+
+    Those that could not be hung, or that weight pulls straight, are left out; a pose of which none is left as well.
+    margin: (S,) [cm] of more hair at either end, ``margins`` where none is given.
+    """
+    twins = make_strands(replace(recipes, twist=np.zeros(len(recipes))), seed)
+    strands = upright(make_strands(recipes, seed, margins(recipes) if margin is None else margin), twins)
     fibres, roll = draw_fibres(recipes.number, seed, variant)
     body, offsets = bodies(strands)
     twin = hang(twins.points, twins.offsets, fibres, roll=roll)
-    poses = [hang(body, offsets, fibres, roll=roll, stretched=stretched) for stretched in (False, True)]
-    other = differ(poses[0].points, poses[1].points, offsets)
-    kept = [twin.converged & poses[0].converged, twin.converged & poses[1].converged & other]
-    parts = []
-    for stretched, (pose, ok) in enumerate(zip(poses, kept, strict=True)):
-        chosen = np.flatnonzero(ok)
+    rest = None
+    for stretched in poses:
+        pose = hang(body, offsets, fibres, roll=roll, stretched=stretched)
+        kept = twin.converged & pose.converged
+        if rest is None:
+            rest = pose.points
+        else:
+            kept &= differ(rest, pose.points, offsets)
+        chosen = np.flatnonzero(kept)
         radius, wavelength = _local(*_selected(twin.points, twins.offsets, chosen))
         curled = still_curled(radius, wavelength, recipes.select(chosen))
         chosen, radius, wavelength = chosen[curled], radius[curled], wavelength[curled]
-        if len(chosen) == 0:
-            continue
-        hung = _with_margins(strands, pose.points, offsets, chosen)
-        about: Columns = {
-            "variant": np.full(len(chosen), variant, dtype=np.int8),
-            "stretched": np.full(len(chosen), bool(stretched)),
-        }
-        about |= {name: getattr(fibres, name)[chosen] for name in FIBRE_COLUMNS}
-        parts.extend(_both(hung, recipes.select(chosen), radius, wavelength, seed, options, about))
-    return parts
+        if len(chosen):
+            yield Hanging(
+                strands=_with_margins(strands, pose.points, offsets, chosen),
+                recipes=recipes.select(chosen),
+                radius=radius,
+                wavelength=wavelength,
+                stretched=stretched,
+                fibres={name: getattr(fibres, name)[chosen] for name in FIBRE_COLUMNS},
+            )
 
 
 def still_curled(radius: NDArray[np.float64], wavelength: NDArray[np.float64], recipes: Recipes) -> NDArray[np.bool_]:
@@ -274,7 +308,7 @@ def _local(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> tuple[NDA
     return kappa / total, np.maximum(2.0 * np.pi * tau / total, 1e-6)
 
 
-def _means_between(
+def means_between(
     radius: NDArray[np.float64], wavelength: NDArray[np.float64], begin: NDArray[np.float64], end: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """``helix_means`` of local values (S, N) from begin to end (S,) of the arc."""

@@ -1,0 +1,73 @@
+"""New strands of a texture in canonical space, not on any groom: paper, section "Strand Synthesis"."""
+
+from __future__ import annotations
+
+from collections.abc import Callable
+
+import numpy as np
+from numpy.typing import ArrayLike, NDArray
+
+from detangled.diffusion.sampler import DEFAULT_STEPS
+from detangled.errors import TextureError
+from detangled.fitted import FittedTexture
+from detangled.fitting import POINTS_PER_TURN
+from detangled.geometry.arc import arc_lengths, arc_positions
+from detangled.groom import Groom, offsets_of
+from detangled.grooming.lengths import Length, canonical_strands
+from detangled.grooming.placing import cut, resample
+from detangled.retexturing import DROPPED_TURNS, arcs_to_make
+from detangled.synthesis import synthesise
+
+CHUNK = 512  # strands made at once
+LENGTHS = (0.1, 2000.0)  # [cm]
+SPARE = 1.02  # of the arc, to cut from
+APART, LEAST_RADIUS = 4.0, 0.05  # radii between the axes of neighbours, each at least so many cm
+IN_ROW = 16
+
+
+def generate(
+    texture: FittedTexture,
+    count: int,
+    length: ArrayLike,
+    seed: int = 0,
+    steps: int = DEFAULT_STEPS,
+    progress: Callable[[int], object] | None = None,
+) -> Groom:
+    """``count`` new strands of arc length ``length`` [cm], one for all or (count,), as a groom whose z-axis points up.
+
+    All wind downwards about the z-axis (``side_by_side``). The same seed gives the same strands, and more of them those
+    it gave before. progress: told how many strands were finished. Raises TextureError for no strands, or lengths below
+    0.1 cm or above 20 m.
+    """
+    given = np.asarray(length, dtype=np.float64)
+    if count < 1 or given.shape not in ((), (1,), (count,)):
+        raise TextureError(f"generate at least one strand, with a length for each or one for all, not {given.shape}")
+    if not ((given >= LENGTHS[0]) & (given <= LENGTHS[1])).all():
+        raise TextureError(f"generate strands of {LENGTHS[0]:g} to {LENGTHS[1]:g} cm")
+    lengths = np.array(np.broadcast_to(given, (count,)))
+    arcs, short = arcs_to_make(texture, lengths * SPARE, Length.STRAND)
+    strands: list[NDArray[np.float64]] = []
+    for first in range(0, count, CHUNK):
+        part = slice(first, min(first + CHUNK, count))
+        names = np.arange(part.start, part.stop)
+        values, starts = synthesise(texture, arcs[part], names, seed, steps, progress)
+        fine, offsets = canonical_strands(values, starts, short[part], DROPPED_TURNS * texture.turn, texture.wave_turn)
+        if texture.shape is not None:
+            fine = texture.shape.given_to(fine, offsets, lengths[part], False)
+        fine, offsets = cut(fine, offsets, arc_positions(fine, offsets), lengths[part])
+        counts = np.ceil(POINTS_PER_TURN * lengths[part] / texture.finest_turn).astype(np.int64) + 1
+        sparse = offsets_of(np.maximum(counts, 2))
+        points = resample(fine, offsets, sparse)
+        # Points on a curve say a little less of its length than it has.
+        scale = lengths[part] / arc_lengths(points, sparse)
+        strands.extend(points[a:b] * s for a, b, s in zip(sparse[:-1], sparse[1:], scale, strict=True))
+    return Groom.from_strands(strands, up="z")
+
+
+def side_by_side(groom: Groom, in_row: int = IN_ROW) -> Groom:
+    """Canonical strands beside each other, in rows of so many, their roots at one height."""
+    strands = [groom.strand(s).copy() for s in range(groom.strand_count)]
+    spacing = APART * max(float(np.hypot(*groom.points[:, :2].T).mean()), LEAST_RADIUS)
+    for number, points in enumerate(strands):
+        points += [spacing * (number % in_row), spacing * (number // in_row), -points[0, 2]]
+    return Groom.from_strands(strands, up=groom.up)
