@@ -39,7 +39,7 @@ MOST_RATE = 12.0
 class Judged(NamedTuple):
     """Median errors of a texture: of radius and wavelength in parts of them, of twist; and the share that failed.
 
-    other_radius, other_wavelength: by the other judge.
+    other_radius, other_wavelength: by the other judge, NaN where that finds no curl in most strands.
     """
 
     radius: float
@@ -116,19 +116,25 @@ def judge(what: Asked, lengths: NDArray[np.float64], seed: int) -> Judged:
     if what.twist > BY_WINDING:
         judges.reverse()
     errors = [
-        float(np.nanmedian(np.abs(values / asked_for - 1.0)))
+        middle(np.abs(values / asked_for - 1.0))
         for judge in judges
         for values, asked_for in zip(judge, (radius, wavelength), strict=True)
     ]
     return Judged(
         radius=errors[0],
         wavelength=errors[1],
-        twist=float(np.nanmedian(np.abs(found.twist - what.twist))),
+        twist=middle(np.abs(found.twist - what.twist)),
         other_radius=errors[2],
         other_wavelength=errors[3],
-        failed=float(np.mean(failed(groom, arc_of_a_turn(radius, wavelength)) | (found.reading != Reading.READ))),
+        failed=float(np.mean(failed(groom, arc_of_a_turn(radius, wavelength)) | (found.reading >= Reading.UNUSABLE))),
         seconds=seconds,
     )
+
+
+def middle(errors: NDArray[np.float64]) -> float:
+    """The median of the errors that could be told, NaN where these are fewer than half."""
+    told = errors[np.isfinite(errors)]
+    return float(np.median(told)) if 2 * len(told) >= len(errors) else float("nan")
 
 
 def failed(groom: Groom, turn: float) -> NDArray[np.bool_]:

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import warnings
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -152,6 +153,17 @@ def test_curls_of_a_type_read_as_that_type(name: str) -> None:
     assert float(np.median(found.radius)) == pytest.approx(hair.radius.mean, rel=0.12)
     assert float(np.median(found.wavelength)) == pytest.approx(hair.wavelength.mean, rel=0.2)
     assert float(np.median(found.twist)) == pytest.approx(hair.twist.mean, abs=0.12)
+
+
+def test_strands_are_drawn_of_one_hand_and_come_with_both(coils: FittedTexture) -> None:
+    starts = coils.starts
+    shown = [np.median(coils.signals[a:b, 1]) for a, b in pairwise(starts)]
+    assert min(shown) > 0.0
+    groom = generate(coils, 40, 15.0)
+    turned = [
+        np.unwrap(np.arctan2(*groom.strand(s)[:, 1::-1].T))[[0, -1]] @ [-1.0, 1.0] for s in range(groom.strand_count)
+    ]
+    assert 0.25 < np.mean(np.array(turned) > 0.0) < 0.75
 
 
 def test_the_same_seed_gives_the_same_strands_however_many(coils: FittedTexture) -> None:
@@ -325,7 +337,7 @@ def test_the_shipped_library_holds_hair_of_all_kinds(arrays: dict) -> None:
         near = np.abs(np.log(library.radius / hair.radius.mean)) < 0.5
         near &= np.abs(np.log(slope / (hair.wavelength.mean / hair.radius.mean))) < 0.5
         near &= np.abs(prevalence - hair.twist.mean) < 0.15
-        assert near.sum() >= 6, hair.name
+        assert near.sum() >= 5, hair.name
     manifest = json.loads((models_folder() / FILES[LIBRARY]).with_suffix(".json").read_text())
     assert {"commit", "seed", "count"} <= set(manifest["training"])
 

@@ -120,8 +120,15 @@ def asked_texture(what: Asked, library: Library | None = None) -> FittedTexture:
     chosen = np.sort(np.argsort((away**2).sum(axis=0), kind="stable")[:CHOSEN])
     _warn_if_far(library, what, away[:, chosen])
     points, offsets = library.select(chosen)
-    sizes = np.stack([radius / library.radius[chosen], wavelength / library.wavelength[chosen]])
-    points = points * np.repeat(sizes[[0, 0, 1]], np.diff(offsets), axis=1).T
+    # Patches of one hand: the mean of both would have no torsion. New strands are mirrored at random.
+    sizes = np.stack(
+        [
+            radius / library.radius[chosen],
+            radius / library.radius[chosen] * _hands(points, offsets),
+            wavelength / library.wavelength[chosen],
+        ]
+    )
+    points = points * np.repeat(sizes, np.diff(offsets), axis=1).T
     texture = _calibrated(points, offsets, radius, wavelength, what.twist)
     if what.radius.constant and what.wavelength.constant:
         return texture
@@ -133,34 +140,38 @@ def asked_texture(what: Asked, library: Library | None = None) -> FittedTexture:
 def _calibrated(
     points: NDArray[np.float64], offsets: NDArray[np.int64], radius: float, wavelength: float, twist: float
 ) -> FittedTexture:
-    """The texture of canonical strands, resized until strands drawn of it wind as these do, or as asked.
+    """The texture of canonical strands, resized, where hair hardly twists, until strands drawn of it wind as asked.
 
-    Where hair twists a lot, winding counts its twists: it is to wind as the strands do that have the numbers. Where it
-    hardly twists, winding says what radius and wavelength are.
+    Where it twists a lot, winding counts its twists, and tells of neither radius nor wavelength.
     """
-    asked_for = np.array([radius, wavelength])
-    by_winding = np.interp(twist, FEW_TWISTS, (1.0, 0.0))
-    goal = asked_for**by_winding * _wound(points, offsets) ** (1.0 - by_winding)
     factor = np.ones(2)
-    for remaining in reversed(range(ROUNDS + 1)):
+    trust = float(np.interp(twist, FEW_TWISTS, (1.0, 0.0)))
+    for remaining in reversed(range(ROUNDS + 1 if trust > 0.0 else 1)):
         scaled = points * factor[[0, 0, 1]]
         axis = np.abs(scaled[offsets[1:] - 1, 2] - scaled[offsets[:-1], 2])
         texture = measured_canonical(scaled, offsets, axis, PATCH_GRID)
         texture = replace(
             texture,
             median_arc=max(texture.median_arc, FEWEST_TURNS * texture.turn),
+            both_hands=True,
+            stiff=False,
             waves=bool(is_weak(radius, wavelength)),
         )
         if remaining:
             drawn = generate(texture, DRAWN, DRAWN_TURNS * texture.turn, CALIBRATION_SEED)
-            wrong = np.clip(goal / _wound(drawn.points, drawn.offsets), 1.0 / MOST_RESIZED, MOST_RESIZED)
-            factor *= np.where(np.isfinite(wrong), wrong, 1.0)
+            wound = np.array([float(np.nanmedian(values)) for values in winding(drawn.points, drawn.offsets)])
+            wrong = np.clip(np.array([radius, wavelength]) / wound, 1.0 / MOST_RESIZED, MOST_RESIZED)
+            factor *= np.where(np.isfinite(wrong), wrong, 1.0) ** trust
     return texture
 
 
-def _wound(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Radius and wavelength (2,) [cm] by winding, in the median of strands that wind."""
-    return np.array([float(np.nanmedian(values)) for values in winding(points, offsets)])
+def _hands(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """1 for canonical strands (S,) that wind to the right as they go down, -1 for others."""
+    first, then = points[:-1], points[1:]
+    turned = first[:, 0] * then[:, 1] - first[:, 1] * then[:, 0]
+    turned = np.append(turned, 0.0)
+    turned[offsets[1:] - 1] = 0.0
+    return np.where(np.add.reduceat(turned, offsets[:-1]) > 0.0, -1.0, 1.0)
 
 
 def _away(library: Library, radius: float, wavelength: float, twist: float) -> NDArray[np.float64]:

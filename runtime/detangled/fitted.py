@@ -40,7 +40,9 @@ class FittedTexture:
     method: the engine that draws new strands, PATCHES or FINETUNE. weights: (P,) float16, of the network that was
     trained on the strands, and architecture, its sizes; calibration: (2, 2, 2, Q), how far what it draws is off
     (``diffusion.calibration``). None of them for PATCHES.
-    waves: whether the strands are waves too weak for a centreline, whose axis is the mean over a turn.
+    both_hands: whether every other new strand, at random, is mirrored.
+    stiff: whether the axes of short strands are taken to be straight, as a few turns do not tell; not where twists bend
+    them. waves: whether the strands are waves too weak for a centreline, whose axis is the mean over a turn.
     shape: how radius and wavelength run from root to tip, where they are asked to; a strand is given it once it is
     drawn. All else is said of even strands.
     """
@@ -59,6 +61,8 @@ class FittedTexture:
     weights: NDArray[np.float16] = field(default_factory=lambda: np.empty(0, dtype=np.float16))
     architecture: dict[str, Any] = field(default_factory=dict)
     calibration: NDArray[np.float64] = field(default_factory=lambda: np.empty((2, 2, 2, 0)))
+    both_hands: bool = False
+    stiff: bool = True
     waves: bool = False
     shape: Shape | None = None
 
@@ -102,6 +106,8 @@ def save_texture(texture: FittedTexture, path: str | Path) -> None:
         "radius": texture.radius,
         "wavelength": texture.wavelength,
         "architecture": texture.architecture,
+        "both_hands": texture.both_hands,
+        "stiff": texture.stiff,
         "waves": texture.waves,
         "shape": texture.shape and asdict(texture.shape),
     }
@@ -148,6 +154,8 @@ def load_texture(path: str | Path) -> FittedTexture:
             method=method,
             weights=weights,
             calibration=levels,
+            both_hands=bool(manifest["both_hands"]),
+            stiff=bool(manifest["stiff"]),
             waves=bool(manifest["waves"]),
             shape=None if shape is None else Shape(**shape),
             architecture=dict(manifest["architecture"]),

@@ -3,9 +3,11 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
+from scipy.spatial.transform import Rotation
 
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.errors import TextureError
@@ -15,7 +17,7 @@ from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.lengths import Length, canonical_strands
 from detangled.grooming.placing import cut, resample
-from detangled.retexturing import DROPPED_TURNS, arcs_to_make
+from detangled.retexturing import DROPPED_TURNS, arcs_to_make, turns_about_axis
 from detangled.synthesis import synthesise
 
 CHUNK = 512  # strands made at once
@@ -51,7 +53,8 @@ def generate(
         part = slice(first, min(first + CHUNK, count))
         names = np.arange(part.start, part.stop)
         values, starts = synthesise(texture, arcs[part], names, seed, steps, progress)
-        fine, offsets = canonical_strands(values, starts, short[part], DROPPED_TURNS * texture.turn, texture.wave_turn)
+        dropped = np.where(short[part], DROPPED_TURNS * texture.turn, 0.0)
+        fine, offsets = canonical_strands(values, starts, short[part] & texture.stiff, dropped, texture.wave_turn)
         if texture.shape is not None:
             fine = texture.shape.given_to(fine, offsets, lengths[part], False)
         fine, offsets = cut(fine, offsets, arc_positions(fine, offsets), lengths[part])
@@ -60,7 +63,8 @@ def generate(
         points = resample(fine, offsets, sparse)
         # Points on a curve say a little less of its length than it has.
         scale = lengths[part] / arc_lengths(points, sparse)
-        strands.extend(points[a:b] * s for a, b, s in zip(sparse[:-1], sparse[1:], scale, strict=True))
+        turned = Rotation.from_euler("z", turns_about_axis(seed, names)[:, None]).as_matrix() * scale[:, None, None]
+        strands.extend(points[a:b] @ turn.T for (a, b), turn in zip(pairwise(sparse), turned, strict=True))
     return Groom.from_strands(strands, up="z")
 
 

@@ -82,10 +82,11 @@ def retexture(
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
         roots=guides.canonical()[guides.groom.offsets[:-1]],
-        turns=np.array([_generator(options.seed, name).uniform(-np.pi, np.pi) for name in guides.kept]),
+        turns=turns_about_axis(options.seed, guides.kept),
         goals=goals,
         short=short,
         dropped=DROPPED_TURNS * texture.turn,
+        stiff=texture.stiff,
         wave_turn=texture.wave_turn,
         shape=texture.shape,
     )
@@ -162,9 +163,12 @@ def _warnings(per_turn: NDArray[np.float64], reached: NDArray[np.float64], optio
     return said
 
 
-def _generator(seed: int, name: int) -> np.random.Generator:
-    """What turns a strand about its axis: its own stream, beside the one that its signal is drawn from."""
-    return np.random.default_rng([seed, int(name), 1])
+def turns_about_axis(seed: int, names: NDArray[np.int64]) -> NDArray[np.float64]:
+    """By how much strands (S,) are turned about their axes [rad].
+
+    From streams of their own, beside those that signals are drawn from.
+    """
+    return np.array([np.random.default_rng([seed, int(name), 1]).uniform(-np.pi, np.pi) for name in names])
 
 
 def _points_needed(

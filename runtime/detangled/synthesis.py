@@ -32,7 +32,7 @@ WIDEST_SHARE = 0.8  # of a stretch: the half-width of its widest patches
 # The axis of a signal that is mostly noise means nothing.
 STEER_BELOW = 1.0  # sigma / alpha
 FEWEST_TURNS_TO_STEER = 12.0
-_PIECE = 1  # tells the stream that chooses a piece from the one that noise is drawn from
+_PIECE, _HAND = 1, 2  # tell what chooses a piece, and what a hand, from the stream that noise is drawn from
 
 
 def grid_cells(texture: FittedTexture, arcs: NDArray[np.float64]) -> NDArray[np.int64]:
@@ -72,6 +72,9 @@ def synthesise(
                 np.random.default_rng([seed, int(name), _PIECE]).integers(drawn - size + 1) for name in names[batch]
             ]
             made = made[np.arange(len(batch))[:, None], np.array(begin)[:, None] + np.arange(size)]
+            if texture.both_hands:
+                hands = [np.random.default_rng([seed, int(name), _HAND]).choice([-1.0, 1.0]) for name in names[batch]]
+                made[:, :, 1] *= np.array(hands)[:, None]
             out[rows] = with_arcs(made, arcs[batch])
             if progress is not None:
                 progress(len(batch))

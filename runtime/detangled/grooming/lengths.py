@@ -31,7 +31,6 @@ STRICT_ROUNDS = 3
 MOST_ROUNDS = 12
 MOST_SCALE = 4.0  # of v in one round: a strand that curls back on itself may have hardly any axial length
 OFF_AXIS = 0.1  # an old root further out than this share of the new one's distance has a direction to keep
-MOST_BEND = 0.5  # of a short strand's distance from its axis
 STYLELESS_TURNS = 24.0  # a new strand's axis may bend no more sharply than that of a coil of so many turns
 
 
@@ -50,7 +49,9 @@ class Seats:
     turns: (S,) [rad], by how much a strand is turned about its axis where its root lies on the guide.
     goals: (S,) [cm], lengths. short: (S,), strands that are made too long and cut.
     dropped: arc length [cm] that short strands lose at the root too, where a centreline is known least well.
-    wave_turn: arc length [cm] of a turn where the strands are weak waves, else 0. shape: given to canonical strands.
+    stiff: whether short strands are taken to have straight axes: a few turns do not say how an axis bends, and to
+    unbend what was found of it would add torsion. wave_turn: arc length [cm] of a turn where the strands are weak
+    waves, else 0. shape: given to canonical strands.
     """
 
     guides: Groom
@@ -59,6 +60,7 @@ class Seats:
     goals: NDArray[np.float64]
     short: NDArray[np.bool_]
     dropped: float
+    stiff: bool = True
     wave_turn: float = 0.0
     shape: Shape | None = None
 
@@ -71,6 +73,7 @@ class Seats:
             self.goals[chosen],
             self.short[chosen],
             self.dropped,
+            self.stiff,
             self.wave_turn,
             self.shape,
         )
@@ -117,7 +120,8 @@ def _built(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
     """Strands of signals on the chosen seats, cut at their goals, their offsets, and the lengths they had uncut."""
     seats = seats.select(chosen)
-    canonical, offsets = canonical_strands(values, starts, seats.short, seats.dropped, seats.wave_turn)
+    dropped = np.where(seats.short, seats.dropped, 0.0)
+    canonical, offsets = canonical_strands(values, starts, seats.short & seats.stiff, dropped, seats.wave_turn)
     if seats.shape is not None:
         canonical = seats.shape.given_to(canonical, offsets, seats.goals, length is Length.GUIDE)
     if length is Length.GUIDE:
@@ -136,33 +140,32 @@ def _built(
 def canonical_strands(
     values: NDArray[np.float64],
     starts: NDArray[np.int64],
-    short: NDArray[np.bool_],
-    dropped: float,
-    wave_turn: float = 0.0,
+    straight: NDArray[np.bool_],
+    dropped: NDArray[np.float64],
+    wave_turn: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Strands of signals (C, 3) in canonical space, finely sampled: points (P, 3) [cm] and offsets (S + 1,).
 
-    short: (S,), those of few turns, which lose an arc length ``dropped`` [cm] at the root. wave_turn: arc length [cm]
-    of a turn where the strands are weak waves, whose axes are means over it; else 0.
+    straight: (S,), those whose axes are taken to be straight. dropped: (S,), arc lengths [cm] that are lost at roots.
+    wave_turn: arc length [cm] of a turn where the strands are weak waves, whose axes are means over it; else 0.
     """
     offsets = offsets_of(curve_counts(values, starts))
     points = curves(values, starts, offsets)
     if wave_turn > 0.0:
-        axes = wave_axes(points, offsets, np.full(len(short), wave_turn))
+        axes = wave_axes(points, offsets, np.full(len(straight), wave_turn))
     else:
         axes, _ = centerlines(points, offsets, STYLELESS_TURNS)
-        axes = _straightened(points, axes, offsets, short)
+        axes = _straightened(axes, offsets, straight)
     canonical = to_canonical(points, axes, offsets)
-    return _without_roots(canonical, offsets, np.where(short, dropped, 0.0))
+    return _without_roots(canonical, offsets, dropped)
 
 
 def _straightened(
-    points: NDArray[np.float64], axes: NDArray[np.float64], offsets: NDArray[np.int64], chosen: NDArray[np.bool_]
+    axes: NDArray[np.float64], offsets: NDArray[np.int64], chosen: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Axes (P, 3), those of the chosen strands (S,) straight from their first point to their last.
 
-    A few turns do not say how their axis bends: to unbend what was found of it would add torsion. But an axis that
-    bends by more than the strand's own distance from it is not straight.
+    A few turns do not say how their axis bends: to unbend what was found of it would add torsion.
     """
     if not chosen.any():
         return axes
@@ -170,11 +173,7 @@ def _straightened(
     inner = np.arange(len(axes)) - np.repeat(offsets[:-1], counts)
     share = (inner / np.repeat(np.maximum(counts - 1, 1), counts))[:, None]
     first, last = (np.repeat(axes[rows], counts, axis=0) for rows in (offsets[:-1], offsets[1:] - 1))
-    straight = first + share * (last - first)
-    bend = np.maximum.reduceat(np.linalg.norm(axes - straight, axis=1), offsets[:-1])
-    distance = np.add.reduceat(np.linalg.norm(points - axes, axis=1), offsets[:-1]) / counts
-    chosen = chosen & (bend <= MOST_BEND * distance)
-    return np.where(np.repeat(chosen, counts)[:, None], straight, axes)
+    return np.where(np.repeat(chosen, counts)[:, None], first + share * (last - first), axes)
 
 
 def _without_roots(
