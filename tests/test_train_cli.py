@@ -487,7 +487,7 @@ def test_other_strands_than_it_was_begun_with_are_refused(trained: tuple[Path, R
     torch.save(stored, tmp_path / "run" / "checkpoint.pt")
     result = train("denoiser", tmp_path / "run", "--data", tmp_path / "others", "--resume")
     assert result.exit_code == 4
-    assert "begun with other strands" in error_line(result)
+    assert "begun with other strands" in result.stderr.splitlines()[-1]
 
 
 def test_data_that_is_not_there_is_told(tmp_path: Path) -> None:
