@@ -181,11 +181,13 @@ def test_the_same_seed_gives_the_same_strands_however_many(coils: FittedTexture)
 def test_strands_stand_apart_in_rows(coils: FittedTexture) -> None:
     groom = side_by_side(generate(coils, IN_ROW + 2, 12.0))
     roots = groom.points[groom.offsets[:-1]]
-    np.testing.assert_array_equal(roots[:, 2], 0.0)
+    np.testing.assert_array_equal(roots[:, 1], 0.0)
+    assert groom.up == "y"
+    assert (groom.points[groom.offsets[1:] - 1, 1] < -2.0).all()
     step = APART * 0.5
     assert np.diff(roots[:IN_ROW, 0]).mean() == pytest.approx(step, rel=0.1)
-    assert np.ptp(roots[:IN_ROW, 1]) < step
-    assert (roots[IN_ROW:, 1] > roots[:IN_ROW, 1].mean() + 0.4 * step).all()
+    assert np.ptp(roots[:IN_ROW, 2]) < step
+    assert (roots[IN_ROW:, 2] < roots[:IN_ROW, 2].mean() - 0.4 * step).all()
 
 
 @pytest.mark.parametrize(

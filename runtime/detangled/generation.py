@@ -69,9 +69,12 @@ def generate(
 
 
 def side_by_side(groom: Groom, in_row: int = IN_ROW) -> Groom:
-    """Canonical strands beside each other, in rows of so many, their roots at one height."""
-    strands = [groom.strand(s).copy() for s in range(groom.strand_count)]
+    """Canonical strands beside each other, in rows of so many, their roots at one height.
+
+    The y-axis is up: so most programs take files that do not say what is.
+    """
+    strands = [groom.strand(s)[:, [0, 2, 1]] * [1.0, 1.0, -1.0] for s in range(groom.strand_count)]
     spacing = APART * max(float(np.hypot(*groom.points[:, :2].T).mean()), LEAST_RADIUS)
     for number, points in enumerate(strands):
-        points += [spacing * (number % in_row), spacing * (number // in_row), -points[0, 2]]
-    return Groom.from_strands(strands, up=groom.up)
+        points += [spacing * (number % in_row), -points[0, 1], -spacing * (number // in_row)]
+    return Groom.from_strands(strands)
