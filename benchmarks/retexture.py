@@ -48,6 +48,7 @@ EVERY = {"eve": 10, "bob": 2, "combover": 50, "straight": 1}  # strands measured
 SAMPLE = 48  # strands of the measures that compare all with all
 LONGER, SHORTER = "longer than targets", "shorter than targets"
 FEWEST_COMPARED = 10
+HALVINGS = 15  # of five the means still move by a third
 HELD_OUT = 200  # new strands compared with targets that their texture was not fitted to
 LENGTH_BOUND = 1e-3
 GUIDE_BOUND = 1.0  # target radii
@@ -315,6 +316,8 @@ def distributions(
             distances = measures.wasserstein(signals, halves[1]), measures.wasserstein(*halves)
             found.setdefault(which, []).append(distances)
     for which, distances in found.items():
+        if 2 * len(distances) < job.halvings:
+            continue  # hardly ever enough of such strands to compare
         for kind, (value, floor) in zip(kinds, np.mean(distances, axis=0).T, strict=False):
             least = max(float(floor), LEAST_CURVATURE)
             text = f"{value / least:.2f} ({value:.3f} over {least:.3f}/cm)"
@@ -384,9 +387,11 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--full", action="store_true", help="use every strand")
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--method", choices=METHODS, default=METHODS[0])
-    parser.add_argument("--halvings", type=int, help="of the targets; default: 5, or 1 where a network is trained")
+    parser.add_argument(
+        "--halvings", type=int, help=f"of the targets; default: {HALVINGS}, or 1 where a network is trained"
+    )
     options = parser.parse_args(arguments)
-    options.halvings = options.halvings or (1 if options.method == FINETUNE else 5)
+    options.halvings = options.halvings or (1 if options.method == FINETUNE else HALVINGS)
     jobs = options.jobs.split(",")
     if unknown := set(jobs) - set(EVERY):
         parser.error(f"no such job: {', '.join(sorted(unknown))}; these are: {', '.join(EVERY)}")
