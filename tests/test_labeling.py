@@ -1,12 +1,7 @@
-"""Reading of strands: kappa, tau and v of lower sections, and labels by a tiny labeler that is written without torch.
-
-The tiny labeler tells what the helix equations say of the means of kappa and tau over a signal, and as twist a sigmoid
-of the mean speed. So labels have a formula here.
-"""
+"""Reading of strands: kappa, tau and v of lower sections, and labels by a tiny labeler."""
 
 from __future__ import annotations
 
-import hashlib
 import json
 from collections.abc import Iterator
 from dataclasses import fields
@@ -19,8 +14,6 @@ from numpy.typing import NDArray
 
 onnx = pytest.importorskip("onnx", reason="the tiny labeler is written by onnx")
 
-from onnx import TensorProto, helper, numpy_helper  # noqa: E402
-
 from detangled.errors import ModelError  # noqa: E402
 from detangled.formats import read, write  # noqa: E402
 from detangled.groom import Groom  # noqa: E402
@@ -29,160 +22,24 @@ from detangled.labeling import (  # noqa: E402
     CELLS,
     CELLS_PER_TURN,
     LOWER_PART,
-    LabelGradient,
-    LabelNetwork,
     Labels,
     LowerSignals,
     Reading,
     label,
     lower_signals,
     nearest_types,
-    padded,
 )
-from detangled.models import FILES, FOLDER_VARIABLE, LABELER, LABELER_GRADIENT, load_labeler  # noqa: E402
+from detangled.models import FILES, FOLDER_VARIABLE, LABELER, load_labeler  # noqa: E402
 from detangled.texture import HAIR_TYPES, HairType, arc_of_a_turn  # noqa: E402
 from geometry_curves import helix, random_rotation  # noqa: E402
+from tiny_labeler import write_tiny  # noqa: E402
 
-BATCH = 4
-OPSET, IR_VERSION = 20, 10
-LEAST = 1e-6  # [1/cm^2] of kappa^2 + tau^2
-SLOPE = 0.25  # of the twist by the mean speed
 # How far R and wavelength may be off where eight points a turn or more are given, worst for waves of few points.
 ACCURACY = 0.03
 FLOAT32 = 1e-5
 
 Floats = NDArray[np.float64]
 WOUND = HAIR_TYPES[1:]  # six turns of type I are its own axis: such hair is straight
-
-
-# ---- the tiny labeler
-
-
-def told(values: Floats) -> Floats:
-    """What the tiny labeler says of signals (B, CELLS, 3), (B, 3), by its formula."""
-    kappa, tau, v = np.asarray(values, dtype=np.float64).mean(axis=1).T
-    total = kappa**2 + tau**2 + LEAST
-    twist = 1.0 / (1.0 + np.exp(-SLOPE * v))
-    return np.stack([kappa / total, 2.0 * np.pi * np.abs(tau) / total, twist], axis=1)
-
-
-def slopes(values: Floats, weights: Floats) -> Floats:
-    """The gradient (B, CELLS, 3) of those labels' sum by weights (B, 3)."""
-    kappa, tau, v = np.asarray(values, dtype=np.float64).mean(axis=1).T
-    total = kappa**2 + tau**2 + LEAST
-    twist = 1.0 / (1.0 + np.exp(-SLOPE * v))
-    a, b, c = np.asarray(weights).T
-    sign = np.sign(tau)
-    by_kappa = a * (1.0 / total - 2.0 * kappa**2 / total**2) - b * 4.0 * np.pi * np.abs(tau) * kappa / total**2
-    by_tau = -a * 2.0 * kappa * tau / total**2 + b * sign * (2.0 * np.pi / total - 4.0 * np.pi * tau**2 / total**2)
-    by_v = c * SLOPE * twist * (1.0 - twist)
-    each = np.stack([by_kappa, by_tau, by_v], axis=1) / CELLS
-    return np.repeat(each[:, None], CELLS, axis=1)
-
-
-class Graph:
-    """Nodes and constants, named as they come."""
-
-    def __init__(self) -> None:
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def do(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        made = output or f"{operator}.{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, list(inputs), [made], **attributes))
-        return made
-
-    def constant(self, value: Any, element: type = np.float32) -> str:
-        name = f"constant.{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.array(value, dtype=element), name))
-        return name
-
-    def column(self, of: str, k: int) -> str:
-        return self.do("Gather", of, self.constant([k], np.int64), axis=1)
-
-    def labels(self) -> tuple[str, str, str, str, str]:
-        """kappa, tau, their total, the labels (B, 3) and the twist, (B, 1) each."""
-        mean = self.do("ReduceMean", "signals", self.constant([1], np.int64), keepdims=0)
-        kappa, tau, v = (self.column(mean, k) for k in range(3))
-        squares = self.do("Add", self.do("Mul", kappa, kappa), self.do("Mul", tau, tau))
-        total = self.do("Add", squares, self.constant(LEAST))
-        radius = self.do("Div", kappa, total)
-        turn = self.do("Mul", self.do("Abs", tau), self.constant(2.0 * np.pi))
-        twist = self.do("Sigmoid", self.do("Mul", v, self.constant(SLOPE)))
-        self.do("Concat", radius, self.do("Div", turn, total), twist, axis=1, output="labels")
-        return kappa, tau, total, "labels", twist
-
-    def gradient(self, kappa: str, tau: str, total: str, twist: str) -> None:
-        a, b, c = (self.column("weights", k) for k in range(3))
-
-        def times(*factors: str) -> str:
-            made = factors[0]
-            for factor in factors[1:]:
-                made = self.do("Mul", made, factor)
-            return made
-
-        two, turn = self.constant(2.0), self.constant(2.0 * np.pi)
-        one_over = self.do("Reciprocal", total)
-        square = times(one_over, one_over)
-        size, sign = self.do("Abs", tau), self.do("Sign", tau)
-        by_kappa = self.do(
-            "Sub",
-            times(a, self.do("Sub", one_over, times(two, kappa, kappa, square))),
-            times(b, two, turn, size, kappa, square),
-        )
-        by_tau = self.do(
-            "Sub",
-            times(b, sign, turn, self.do("Sub", one_over, times(two, tau, tau, square))),
-            times(a, two, kappa, tau, square),
-        )
-        rest = self.do("Sub", self.constant(1.0), twist)
-        by_v = times(c, self.constant(SLOPE), twist, rest)
-        each = self.do("Div", self.do("Concat", by_kappa, by_tau, by_v, axis=1), self.constant(float(CELLS)))
-        wide = self.do("Unsqueeze", each, self.constant([1], np.int64))
-        self.do("Expand", wide, self.constant([BATCH, CELLS, 3], np.int64), output="gradient")
-
-    def serialized(self, name: str, inputs: dict[str, list[int]], outputs: dict[str, list[int]]) -> bytes:
-        given, made = (
-            [helper.make_tensor_value_info(key, TensorProto.FLOAT, shape) for key, shape in shapes.items()]
-            for shapes in (inputs, outputs)
-        )
-        graph = helper.make_graph(self.nodes, name, given, made, self.constants)
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
-        onnx.checker.check_model(model)
-        return bytes(model.SerializeToString(deterministic=True))
-
-
-def write_tiny(folder: Path) -> Path:
-    """Write both tiny models, and a manifest beside each, into a folder."""
-    folder.mkdir(parents=True, exist_ok=True)
-    signal, row = [BATCH, CELLS, 3], [BATCH, 3]
-    plain, steep = Graph(), Graph()
-    plain.labels()
-    kappa, tau, total, _, twist = steep.labels()
-    steep.gradient(kappa, tau, total, twist)
-    models = {
-        LABELER: plain.serialized("labeler", {"signals": signal}, {"labels": row}),
-        LABELER_GRADIENT: steep.serialized(
-            "labeler gradient", {"signals": signal, "weights": row}, {"labels": row, "gradient": signal}
-        ),
-    }
-    for kind, data in models.items():
-        path = folder / FILES[kind]
-        path.write_bytes(data)
-        manifest = {
-            "format": "detangled model",
-            "version": 1,
-            "kind": kind,
-            "architecture": {"tiny": 1},
-            "parameters": 1,
-            "cells": CELLS,
-            "batch": BATCH,
-            "opset": OPSET,
-            "sha256": hashlib.sha256(data).hexdigest(),
-            "training": {"data": "none"},
-        }
-        path.with_suffix(".json").write_text(json.dumps(manifest), encoding="utf-8")
-    return folder
 
 
 @pytest.fixture(scope="module")
@@ -457,75 +314,3 @@ def test_a_batch_that_is_none_is_damage(tmp_path: Path, batch: object) -> None:
     path.write_text(json.dumps(json.loads(path.read_text(encoding="utf-8")) | {"batch": batch}), encoding="utf-8")
     with pytest.raises(ModelError, match="damaged"):
         load_labeler(LABELER, folder)
-
-
-# ---- the networks
-
-
-def some_values(count: int, seed: int = 0) -> Floats:
-    rng = np.random.default_rng(seed)
-    values = rng.uniform(0.3, 3.0, (count, CELLS, 3))
-    values[:, :, 1] *= np.where(rng.uniform(size=(count, 1)) < 0.5, -1.0, 1.0)
-    return values
-
-
-@pytest.mark.parametrize("count", [0, 1, BATCH - 1, BATCH, 2 * BATCH + 3])
-def test_the_network_takes_any_number_of_signals(models: Path, count: int) -> None:
-    values = some_values(count)
-    for threads in (1, 3):
-        found = LabelNetwork(load_labeler(LABELER, models), threads)(values)
-        assert (found.shape, found.dtype) == ((count, 3), np.float64)
-        np.testing.assert_allclose(found, told(values), rtol=FLOAT32)
-
-
-@pytest.mark.parametrize("count", [0, 1, BATCH, 2 * BATCH + 3])
-def test_labels_and_their_gradient(models: Path, count: int) -> None:
-    values = some_values(count, seed=1)
-    weights = np.random.default_rng(2).standard_normal((count, 3))
-    for threads in (1, 3):
-        labels, gradient = LabelGradient(load_labeler(LABELER_GRADIENT, models), threads)(values, weights)
-        assert (labels.dtype, gradient.dtype) == (np.float64, np.float64)
-        assert gradient.shape == (count, CELLS, 3)
-        np.testing.assert_allclose(labels, told(values), rtol=FLOAT32)
-        np.testing.assert_allclose(gradient, slopes(values, weights), rtol=1e-4, atol=1e-8)
-
-
-def test_a_signal_is_told_the_same_whatever_comes_with_it(models: Path) -> None:
-    network = LabelNetwork(load_labeler(LABELER, models), 2)
-    values = some_values(2 * BATCH + 1)
-    together = network(values)
-    np.testing.assert_array_equal(np.concatenate([network(values[k : k + 1]) for k in range(len(values))]), together)
-    order = np.random.default_rng(1).permutation(len(values))
-    np.testing.assert_array_equal(network(values[order]), together[order])
-
-
-def test_padding_repeats_what_is_there() -> None:
-    values = some_values(3)
-    made = padded(values, 5)
-    assert (made.shape, made.dtype) == ((5, CELLS, 3), np.float32)
-    np.testing.assert_array_equal(made[:3], values.astype(np.float32))
-    np.testing.assert_array_equal(made[3:], np.repeat(made[:1], 2, axis=0))
-
-
-# ---- types
-
-
-def test_the_middle_of_each_type_is_of_that_type() -> None:
-    means = np.array([(kind.radius.mean, kind.wavelength.mean, kind.twist.mean) for kind in HAIR_TYPES])
-    found = nearest_types(*means.T)
-    assert found.dtype == np.int8
-    assert found.tolist() == list(range(8))
-    assert nearest_types(*np.empty((3, 0))).shape == (0,)
-
-
-def test_the_nearest_type_is_the_likeliest() -> None:
-    """By the normal densities of the types' own spreads, all types alike."""
-    from scipy.stats import norm
-
-    rng = np.random.default_rng(5)
-    values = np.concatenate([kind.sample(rng, 50)[:, :3] for kind in HAIR_TYPES])
-    density = np.zeros((len(values), len(HAIR_TYPES)))
-    for k, kind in enumerate(HAIR_TYPES):
-        for c, spread in enumerate((kind.radius, kind.wavelength, kind.twist)):
-            density[:, k] += norm.logpdf(values[:, c], spread.mean, spread.deviation)
-    np.testing.assert_array_equal(nearest_types(*values.T), density.argmax(axis=1))

@@ -6,6 +6,7 @@ import numpy as np
 import pytest
 
 from detangled.errors import TextureError
+from detangled.labeling import nearest_types
 from detangled.texture import (
     HAIR_TYPES,
     LENGTH_LIMITS,
@@ -184,3 +185,24 @@ def test_profiles_run_from_root_to_tip() -> None:
 def test_profiles_that_cannot_be_read_are_refused(text: str) -> None:
     with pytest.raises(TextureError, match="wavelength"):
         parse_profile(text, "wavelength")
+
+
+def test_the_middle_of_each_type_is_of_that_type() -> None:
+    means = np.array([(kind.radius.mean, kind.wavelength.mean, kind.twist.mean) for kind in HAIR_TYPES])
+    found = nearest_types(*means.T)
+    assert found.dtype == np.int8
+    assert found.tolist() == list(range(8))
+    assert nearest_types(*np.empty((3, 0))).shape == (0,)
+
+
+def test_the_nearest_type_is_the_likeliest() -> None:
+    """By the normal densities of the types' own spreads, all types alike."""
+    from scipy.stats import norm
+
+    rng = np.random.default_rng(5)
+    values = np.concatenate([kind.sample(rng, 50)[:, :3] for kind in HAIR_TYPES])
+    density = np.zeros((len(values), len(HAIR_TYPES)))
+    for k, kind in enumerate(HAIR_TYPES):
+        for c, spread in enumerate((kind.radius, kind.wavelength, kind.twist)):
+            density[:, k] += norm.logpdf(values[:, c], spread.mean, spread.deviation)
+    np.testing.assert_array_equal(nearest_types(*values.T), density.argmax(axis=1))
