@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import functools
 import re
 import subprocess
 import sys
@@ -17,29 +16,17 @@ from click.testing import CliRunner, Result
 torch = pytest.importorskip("torch")
 pytest.importorskip("onnx")
 
-from detangled.diffusion.schedule import CosineSchedule  # noqa: E402
-from detangled.errors import ModelError, ReadError  # noqa: E402
+from detangled.errors import ModelError  # noqa: E402
 from detangled.models import DENOISER, TRAINING_STEP, load_model  # noqa: E402
 from detangled_cli import main as shell  # noqa: E402
-from detangled_training import denoiser_training, processes  # noqa: E402
+from detangled_training import denoiser_training  # noqa: E402
 from detangled_training.checkpoint import Checkpoint, read_checkpoint, write_checkpoint  # noqa: E402
 from detangled_training.dataset import TRAIN, read_dataset, write_dataset  # noqa: E402
-from detangled_training.denoiser_training import Samples, Training, TrainingOptions, draw_batch  # noqa: E402
+from detangled_training.denoiser_training import Training, TrainingOptions  # noqa: E402
 from detangled_training.parameters import flatten  # noqa: E402
 from detangled_training.unet import Architecture  # noqa: E402
 from detangled_training.variants import VariantOptions  # noqa: E402
-
-TINY = Architecture(channels=(8, 16), attention=1, embedding=16, groups=4, heads=2)
-STEPS, EVALUATE_EVERY, SAVE_EVERY = 6, 3, 2
-tiny_options = functools.partial(
-    TrainingOptions,
-    steps=STEPS,
-    batch=4,
-    warm_up=2,
-    evaluate_every=EVALUATE_EVERY,
-    save_every=SAVE_EVERY,
-    architecture=TINY,
-)
+from tiny_training import SAVE_EVERY, STEPS, TINY, tiny_options, write_strands  # noqa: E402
 
 
 @pytest.fixture(scope="module", autouse=True)
@@ -49,19 +36,15 @@ def tiny() -> Iterator[None]:
         patch.setattr(denoiser_training, "TrainingOptions", tiny_options)
         patch.setattr(denoiser_training, "HELD_OUT", 8)
         threads = torch.get_num_threads()
-        torch.set_num_threads(
-            1
-        )  # on a busy machine several wait for each other, hundreds of times longer than they work
+        # On a busy machine several wait for each other, hundreds of times longer than they work.
+        torch.set_num_threads(1)
         yield
         torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")
 def strands(tmp_path_factory: pytest.TempPathFactory) -> Path:
-    """A data set of a few signals, of 16 cells each."""
-    folder: Path = tmp_path_factory.mktemp("strands")
-    write_dataset(folder, 42, 0, VariantOptions(cells=16, read_share=0.0), workers=1)
-    return folder
+    return write_strands(tmp_path_factory.mktemp("strands"))
 
 
 @pytest.fixture(scope="module")
@@ -274,36 +257,6 @@ def test_a_folder_that_cannot_be_one(tmp_path: Path, denoiser: Callable[..., Res
 # ---- several processes
 
 
-def test_processes_share_one_batch_at_one_rate(tmp_path: Path, monkeypatch: pytest.MonkeyPatch, strands: Path) -> None:
-    """What each of two processes is given makes up what a single one is given, at the same learning rates."""
-    for name in ("init_process_group", "all_reduce"):
-        monkeypatch.setattr(processes.distributed, name, lambda *_: None)
-    samples = Training(tiny_options(), tmp_path, [strands]).prepare().samples
-    whitening = samples.whitening()
-
-    def steps_of(rank: int, world: int) -> tuple[list[Any], list[float]]:
-        monkeypatch.setenv("RANK", str(rank))
-        monkeypatch.setenv("WORLD_SIZE", str(world))
-        training = Training(tiny_options(), tmp_path, [strands])
-        given: list[Any] = []
-        rates = []
-        training.network.register_forward_pre_hook(lambda _, inputs: given.append(inputs))
-        for training.step in range(STEPS):
-            training._train(draw_batch(samples, whitening, training.schedule, training.options, training.step))
-            rates.append(training.optimizer.param_groups[0]["lr"])
-        return given, rates
-
-    alone, rates = steps_of(0, 1)
-    (first, first_rates), (second, second_rates) = steps_of(0, 2), steps_of(1, 2)
-    assert first_rates == second_rates == rates
-    assert rates[0] < rates[1] > rates[-1]
-    for whole, *halves in zip(alone, first, second, strict=True):
-        for tensor, *parts in zip(whole, *halves, strict=True):
-            assert torch.equal(tensor, torch.cat(parts))
-    # No step sees what another saw.
-    assert not torch.equal(alone[0][0], alone[1][0])
-
-
 def test_a_batch_that_cannot_be_shared_evenly_is_refused(
     tmp_path: Path, monkeypatch: pytest.MonkeyPatch, denoiser: Callable[..., Result]
 ) -> None:
@@ -434,44 +387,6 @@ def test_export_into_what_is_no_folder(trained: tuple[Path, Result]) -> None:
 
 
 # ---- data, and what a training begins with
-
-
-def test_samples_are_what_the_data_sets_hold_but_for_strands_as_read(strands: Path, tmp_path: Path) -> None:
-    write_dataset(tmp_path, 45, 5, VariantOptions(cells=256, read_share=0.5), workers=1)
-    data = read_dataset(tmp_path)
-    samples = Samples.of([data])
-    kept = ~data.labels["read"]
-    assert 0 < kept.sum() < len(kept)
-    np.testing.assert_array_equal(samples.signals, data.signals[kept])
-    np.testing.assert_allclose(np.exp(samples.asked[:, 0]), data.labels["radius"][kept], rtol=1e-6)
-    np.testing.assert_allclose(np.exp(samples.asked[:, 1]), data.labels["wavelength"][kept], rtol=1e-6)
-    np.testing.assert_allclose(np.exp(samples.asked[:, 3]), samples.signals[:, :, 2].mean(axis=1), rtol=1e-5)
-    assert ((samples.asked[:, 2] >= 0.0) & (samples.asked[:, 2] <= 1.0)).all()
-    assert len(Samples.of([data, data])) == 2 * len(samples)
-    with pytest.raises(ReadError, match="different cells"):
-        Samples.of([data, read_dataset(strands)])
-
-
-def test_a_batch_is_of_whitened_signals_half_of_them_mirrored_and_some_by_themselves(strands: Path) -> None:
-    samples = Samples.of([read_dataset(strands)])
-    options, whitening = tiny_options(batch=512), samples.whitening()
-    batch = draw_batch(samples, whitening, CosineSchedule(), options, 3)
-    clean = batch.clean.numpy().astype(np.float64)
-    values = samples.signals.astype(np.float64)
-    both = np.concatenate([whitening.whiten(values), whitening.mirrored(whitening.whiten(values))])
-    away = np.abs(clean[:, None] - both[None]).max(axis=(2, 3))
-    found = away.min(axis=1) < 1e-5
-    assert 0.4 < found.mean() < 0.6
-    mirrored = away[found].argmin(axis=1) >= len(values)
-    assert 0.4 < mirrored.mean() < 0.6
-    # The others have the mean and deviation that whitening gives a strand by itself, and nothing is asked of them.
-    np.testing.assert_allclose(clean[~found].mean(axis=2), 0.0, atol=1e-5)
-    known = batch.known.numpy()
-    assert not known[~found].any()
-    assert 0.7 < known[found].mean() < 0.9
-    alpha = np.sqrt(1.0 / (1.0 + np.exp(-batch.log_snr.numpy().astype(np.float64))))[:, None, None]
-    noise = (batch.noisy.numpy() - alpha * clean) / np.sqrt(1.0 - alpha**2)
-    assert abs(float(noise.std()) - 1.0) < 0.02
 
 
 def test_a_manifest_tells_the_data(trained: tuple[Path, Result], strands: Path) -> None:
