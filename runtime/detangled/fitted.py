@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.archives import DAMAGE, read_arrays, write_arrays
+from detangled.base_texture import Texture
 from detangled.diffusion.patches import PatchSchedule
 from detangled.diffusion.whitening import Whitening
 from detangled.errors import ModelError, ReadError
@@ -28,53 +29,25 @@ PATCHES, FINETUNE = "patches", "finetune"
 METHODS = (PATCHES, FINETUNE)
 
 
-@dataclass(frozen=True)
-class FittedTexture:
-    """What a texture's strands are like, in canonical space.
+@dataclass(frozen=True, kw_only=True)
+class FittedTexture(Texture):
+    """What a texture's strands are like: learned from examples.
 
-    signals: (C, 3), kappa, tau [1/cm] and v [cm per t] of the strands, one after another.
+    signals: (C, 3), kappa, tau [1/cm] and v [cm per t] of the examples, one after another.
     starts: (E + 1,), strand e is in rows starts[e] to starts[e + 1].
-    cell_width, turn, median_arc: arc lengths [cm] of a cell, of a turn, and of the median strand.
-    arc_per_axis: arc length per length along the axis, in the median.
-    radius, wavelength: medians by winding [cm]; the wavelength of straight hair is NaN.
     method: the engine that draws new strands, PATCHES or FINETUNE. weights: (P,) float16, of the network that was
     trained on the strands, and architecture, its sizes; calibration: (2, 2, 2, Q), how far what it draws is off
     (``diffusion.calibration``). None of them for PATCHES.
-    both_hands: whether every other new strand, at random, is mirrored.
-    stiff: whether the axes of short strands are taken to be straight, as a few turns do not tell; not where twists bend
-    them. waves: whether the strands are waves too weak for a centreline, whose axis is the mean over a turn.
-    shape: how radius and wavelength run from root to tip, where they are asked to; a strand is given it once it is
-    drawn. All else is said of even strands.
     """
 
     signals: NDArray[np.float64]
     starts: NDArray[np.int64]
     whitening: Whitening
-    cell_width: float
-    turn: float
-    median_arc: float
-    arc_per_axis: float
-    radius: float
-    wavelength: float
     schedule: PatchSchedule = field(default_factory=PatchSchedule)
     method: str = PATCHES
     weights: NDArray[np.float16] = field(default_factory=lambda: np.empty(0, dtype=np.float16))
     architecture: dict[str, Any] = field(default_factory=dict)
     calibration: NDArray[np.float64] = field(default_factory=lambda: np.empty((2, 2, 2, 0)))
-    both_hands: bool = False
-    stiff: bool = True
-    waves: bool = False
-    shape: Shape | None = None
-
-    @property
-    def finest_turn(self) -> float:
-        """The arc length [cm] of the shortest turn of new strands."""
-        return self.turn if self.shape is None else self.turn * self.shape.finest
-
-    @property
-    def wave_turn(self) -> float:
-        """The arc length [cm] of a turn where the strands are weak waves, else 0."""
-        return self.turn if self.waves else 0.0
 
     @property
     def strand_count(self) -> int:

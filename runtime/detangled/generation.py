@@ -9,9 +9,9 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.spatial.transform import Rotation
 
+from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.errors import TextureError
-from detangled.fitted import FittedTexture
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.groom import Groom, offsets_of
@@ -28,7 +28,7 @@ IN_ROW = 16
 
 
 def generate(
-    texture: FittedTexture,
+    texture: Texture,
     count: int,
     length: ArrayLike,
     seed: int = 0,

@@ -36,6 +36,10 @@ TRAINING_STEP = "training step"
 LABELER = "labeler"
 LABELER_GRADIENT = "labeler gradient"
 LIBRARY = "library"
+
+# What may be asked of a denoiser: logarithms of cm (the length is the arc of what it is shown), T_f, and whether hair is
+# as it hangs (1) or as it would be without weight (0).
+CONDITION_NAMES = ("log radius", "log wavelength", "twist", "log length", "hung")
 FILES = {
     DENOISER: "denoiser.onnx",
     TRAINING_STEP: "training_step.onnx",
@@ -46,7 +50,7 @@ FILES = {
 _FIELDS = ("format", "version", "kind", "sha256", "training")
 _NETWORK_FIELDS = ("architecture", "parameters", "cells", "opset")
 _OWN_FIELDS: dict[str, tuple[str, ...]] = {
-    DENOISER: (*_NETWORK_FIELDS, "whitening", "schedule", "weights"),
+    DENOISER: (*_NETWORK_FIELDS, "whitening", "schedule", "conditions", "weights"),
     TRAINING_STEP: (*_NETWORK_FIELDS, "whitening", "schedule", "batch"),
     LABELER: (*_NETWORK_FIELDS, "batch"),
     LABELER_GRADIENT: (*_NETWORK_FIELDS, "batch"),
@@ -136,6 +140,8 @@ def load_model(kind: str, folder: Path | None = None) -> Model:
             schedule=CosineSchedule(**manifest["schedule"]),
             weights_at=int(manifest["weights"]["offset"]) if kind == DENOISER else -1,
         )
+        if kind == DENOISER and tuple(manifest["conditions"]) != CONDITION_NAMES:
+            raise ValueError(f"a denoiser of other conditions: {manifest['conditions']}")
         if kind == DENOISER and not 0 <= model.weights_at <= len(data) - 2 * model.parameters:
             raise ValueError("weights that are not in the file")
     return model

@@ -12,9 +12,9 @@ from dataclasses import dataclass, field, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.errors import ReadError
-from detangled.fitted import FittedTexture
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
@@ -58,7 +58,7 @@ class Result:
 
 def retexture(
     groom: Groom,
-    texture: FittedTexture,
+    texture: Texture,
     options: Options | None = None,
     progress: Callable[[int], object] | None = None,
 ) -> Result:
@@ -132,7 +132,7 @@ def retexture(
 
 
 def arcs_to_make(
-    texture: FittedTexture, goals: NDArray[np.float64], length: Length
+    texture: Texture, goals: NDArray[np.float64], length: Length
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Arc lengths (S,) [cm] to ask the sampler for, and which strands will be cut to length instead of scaled."""
     arcs = goals * texture.arc_per_axis if length is Length.GUIDE else goals.copy()
@@ -172,7 +172,7 @@ def turns_about_axis(seed: int, names: NDArray[np.int64]) -> NDArray[np.float64]
 
 
 def _points_needed(
-    texture: FittedTexture, points: NDArray[np.float64], offsets: NDArray[np.int64]
+    texture: Texture, points: NDArray[np.float64], offsets: NDArray[np.int64]
 ) -> NDArray[np.int64]:
     """Points (S,) that give every turn of the texture enough."""
     return np.ceil(POINTS_PER_TURN * arc_lengths(points, offsets) / texture.finest_turn).astype(np.int64) + 1

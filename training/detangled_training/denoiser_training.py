@@ -14,7 +14,7 @@ import hashlib
 import math
 import time
 from collections.abc import Callable, Sequence
-from dataclasses import asdict, dataclass, field, replace
+from dataclasses import asdict, dataclass, field
 from pathlib import Path
 from typing import Any
 
@@ -41,18 +41,19 @@ from detangled_training.parameters import Optimizer, flatten, flatten_tensors, l
 from detangled_training.processes import Processes
 from detangled_training.provenance import commit, make_folder
 from detangled_training.signals import pooled_whitening
-from detangled_training.unet import Architecture, UNet
+from detangled_training.unet import CONDITIONS, Architecture, UNet
 
 WHITENED_BY = 4000  # signals that the whitening is taken from
 HELD_OUT = 512
-COLUMNS = ("radius", "wavelength", "twists", "length", "position", "read")
+COLUMNS = ("radius", "wavelength", "twists", "length", "position", "hand", "variant", "read")
 HELD_OUT_SEED = 1
 EVALUATED_AT = 8  # noise levels, evenly spaced in time
 LEAST_RATE = 0.01  # of the learning rate, at the end
 # For one sample in so many nothing is asked for, and each number of the others is left out as often.
 UNASKED = 0.1
-# Half of all signals are whitened by themselves, and nothing is asked of them: what a fit to a few strands starts from.
-BY_ITSELF = 0.5
+# A third of all signals are whitened by themselves, and nothing is asked of them: what a fit to a few strands starts
+# from. Strands of a texture curl either way, but the mean of both hands has no torsion: other signals are of one hand.
+BY_ITSELF = 1 / 3
 # Half of all signals are shown as a part of a longer strand: the networks' ramp then covers less than root to tip.
 PART_OF_LONGER = 0.5
 LEAST_PART = 0.05
@@ -85,7 +86,8 @@ class TrainingOptions:
 class Samples:
     """Signals (S, L, 3) of strands to train on, kappa, tau [1/cm] and v [cm per t], all float32.
 
-    asked: (S, 4), what one may ask for. position: (S, 2), the part of its strand that each covers.
+    All wind to the right. asked: (S, CONDITIONS), what one may ask for. position: (S, 2), the part of its strand that
+    each covers.
     """
 
     signals: NDArray[np.float32]
@@ -109,10 +111,13 @@ class Samples:
             labels = one.labels
             lengths = one.signals[:, :, 2].mean(axis=1)
             twist = np.clip(labels["twists"] / (TWISTS_PER_CM * labels["length"]), 0.0, 1.0)
-            asked = np.stack([np.log(labels["radius"]), np.log(labels["wavelength"]), twist, np.log(lengths)], axis=1)
+            sizes = [np.log(labels["radius"]), np.log(labels["wavelength"]), twist, np.log(lengths)]
+            asked = np.stack([*sizes, labels["variant"] >= 0], axis=1)
+            right = one.signals.copy()
+            right[:, :, 1] *= labels["hand"][:, None]
             kept = ~labels["read"]
             parts.append(
-                [array[kept].astype(np.float32, copy=False) for array in (one.signals, asked, labels["position"])]
+                [array[kept].astype(np.float32, copy=False) for array in (right, asked, labels["position"])]
             )
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
@@ -121,11 +126,9 @@ class Samples:
         return Samples(self.signals[chosen], self.asked[chosen], self.position[chosen])
 
     def whitening(self) -> Whitening:
-        """What suits them all, and their mirrored ones: torsion has the mean 0."""
+        """What suits them all."""
         some = np.linspace(0, len(self) - 1, min(len(self), WHITENED_BY)).astype(np.int64)
-        whitening = pooled_whitening(self.signals[some])
-        curvature, _, speed = whitening.mean
-        return replace(whitening, mean=(curvature, 0.0, speed))
+        return pooled_whitening(self.signals[some])
 
 
 @dataclass(frozen=True)
@@ -171,14 +174,13 @@ def draw_batch(
     chosen = rng.integers(len(samples), size=size)
     by_itself = rng.uniform(size=size) < BY_ITSELF
     values = samples.signals[chosen].astype(np.float64)
-    # A mirrored strand is as likely.
-    values[rng.uniform(size=size) < 0.5, :, 1] *= -1.0
+    values[by_itself & (rng.uniform(size=size) < 0.5), :, 1] *= -1.0
     clean = whitening.whiten(values)
     for k in np.flatnonzero(by_itself):
         clean[k] = Whitening.of([values[k]]).whiten(values[k])
     # One time in each of as many equal parts: less noise in the loss.
     times = (rng.permutation(size) + rng.uniform(size=size)) / size
-    known = (rng.uniform(size=(size, 4)) >= UNASKED) & (rng.uniform(size=(size, 1)) >= UNASKED)
+    known = (rng.uniform(size=(size, CONDITIONS)) >= UNASKED) & (rng.uniform(size=(size, 1)) >= UNASKED)
     known &= ~by_itself[:, None]
     ramp = samples.position[chosen].astype(np.float64)
     share = np.where(rng.uniform(size=size) < PART_OF_LONGER, LEAST_PART ** rng.uniform(size=size), 1.0)
@@ -329,7 +331,7 @@ class Training:
             count = len(samples)
             noise = rng.standard_normal(clean.shape)
             times = np.full(count, (level + 0.5) / EVALUATED_AT)
-            known = np.ones((count, 4), dtype=bool)
+            known = np.ones((count, CONDITIONS), dtype=bool)
             position = samples.position.astype(np.float64)
             everything = _noisy(clean, noise, times, position, samples.asked, known, self.schedule)
             for first in range(0, count, 128):

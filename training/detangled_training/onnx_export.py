@@ -21,7 +21,7 @@ from torch.func import functional_call
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from detangled.errors import ModelError
-from detangled.models import DENOISER, FORMAT, TRAINING_STEP, VERSION
+from detangled.models import CONDITION_NAMES, DENOISER, FORMAT, TRAINING_STEP, VERSION
 from detangled_training.checkpoint import Checkpoint
 from detangled_training.onnx_files import OPSET, Exported, difference, serialized, session, write_model
 from detangled_training.onnx_translation import Translator
@@ -143,7 +143,8 @@ def export(
 
     data = denoiser_graph(network, cells)
     offset = data.index(weights.numpy().tobytes())
-    manifest = about | {"kind": DENOISER, "weights": {"element": "float16", "offset": offset}}
+    own = {"conditions": list(CONDITION_NAMES), "weights": {"element": "float16", "offset": offset}}
+    manifest = about | {"kind": DENOISER} | own
     denoiser = write_model(folder / "denoiser.onnx", data, manifest, lambda path: _check_denoiser(path, network))
 
     data = training_step_graph(network, optimizer, batch, cells)

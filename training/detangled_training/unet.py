@@ -16,10 +16,11 @@ from dataclasses import dataclass
 import torch
 from torch import Tensor, nn
 
+from detangled.models import CONDITION_NAMES
 from detangled_training.layers import CONVOLUTIONS, Layers
 
 CHANNELS = 3  # of a signal: whitened curvature, torsion, speed
-CONDITIONS = 4  # log radius, log wavelength, T_f, log length
+CONDITIONS = len(CONDITION_NAMES)
 WAVES = (1.0, 2.0)  # periods that the ramp's sinusoids make from root to tip, a sine and a cosine of each
 
 # Sinusoids of the log-SNR turn between 10 radians a unit and 0.001: the schedule spans 20 units, and what should be
@@ -133,8 +134,8 @@ class UNet(nn.Module):
 
         noisy: (B, 3, L), whitened; L a multiple of ``sizes.multiple``. log_snr: (B,), log(alpha^2 / sigma^2).
         position: (B, L), 0 at the root to 1 at the tip: a crop of a strand is given its part of that.
-        condition: (B, 4), log radius, log wavelength [cm], T_f, log length; known: (B, 4), 1 where that is asked
-        for, 0 where it is not and the condition is ignored (it must be finite).
+        condition: (B, CONDITIONS), what ``CONDITION_NAMES`` says, logarithms of cm; known: of the same shape, 1 where
+        that is asked for, 0 where it is not and the condition is ignored (it must be finite).
         """
         films = iter(self.film(self.swish(self._embed(log_snr, condition, known))).split(self.film_sizes, 1))
         x = torch.cat([noisy, _features(position)], dim=1)

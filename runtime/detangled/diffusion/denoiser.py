@@ -12,11 +12,10 @@ from concurrent.futures import ThreadPoolExecutor
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.models import Model
+from detangled.models import CONDITION_NAMES, Model
 
 # One size of batch for all calls, each on one thread: what a strand becomes depends on neither.
 BATCH = 8
-CONDITIONS = 4
 LEAST_OVERLAP = 0.25  # of neighbouring windows: four turns of the grid that fitting uses
 
 
@@ -63,8 +62,8 @@ class NetworkDenoiser:
             "noisy": narrow,
             "log_snr": np.full(BATCH, log_snr, dtype=np.float32),
             "position": np.pad(position, ((0, padding), (0, 0))).astype(np.float32),
-            "condition": np.zeros((BATCH, CONDITIONS), dtype=np.float32),
-            "known": np.zeros((BATCH, CONDITIONS), dtype=np.float32),
+            "condition": np.zeros((BATCH, len(CONDITION_NAMES)), dtype=np.float32),
+            "known": np.zeros((BATCH, len(CONDITION_NAMES)), dtype=np.float32),
         }
         (clean,) = self._session.run(None, given)
         return np.asarray(clean[:count])
