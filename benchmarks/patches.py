@@ -20,9 +20,9 @@ from numpy.typing import NDArray
 from detangled.diffusion.patches import PatchSchedule, denoise_strands, plan_stretches
 from detangled.diffusion.sampler import DEFAULT_STEPS, solver_coefficients
 from detangled.diffusion.schedule import CosineSchedule
+from detangled.engines import OFFERED, WIDEST_SHARE
 from detangled.groom import offsets_of
 from detangled.kernels import parallel_kernel, prange
-from detangled.synthesis import OFFERED, WIDEST_SHARE
 
 SEED = 1
 STRETCHES = 2

@@ -11,10 +11,11 @@ import pytest
 torch = pytest.importorskip("torch")
 
 from detangled.diffusion.schedule import CosineSchedule  # noqa: E402
+from detangled.diffusion.whitening import Whitening  # noqa: E402
 from detangled.errors import ReadError  # noqa: E402
 from detangled_training import processes  # noqa: E402
 from detangled_training.dataset import read_dataset, write_dataset  # noqa: E402
-from detangled_training.denoiser_training import Samples, Training, draw_batch  # noqa: E402
+from detangled_training.denoiser_training import BY_ITSELF, Samples, Training, draw_batch  # noqa: E402
 from detangled_training.variants import VariantOptions  # noqa: E402
 from tiny_training import STEPS, tiny_options, write_strands  # noqa: E402
 
@@ -60,29 +61,37 @@ def test_samples_are_what_the_data_sets_hold_but_for_strands_as_read(strands: Pa
     samples = Samples.of([data])
     kept = ~data.labels["read"]
     assert 0 < kept.sum() < len(kept)
-    np.testing.assert_array_equal(samples.signals, data.signals[kept])
+    # All of one hand.
+    right = (
+        data.signals[kept] * np.stack([np.ones(kept.sum()), data.labels["hand"][kept], np.ones(kept.sum())], 1)[:, None]
+    )
+    np.testing.assert_array_equal(samples.signals, right)
+    assert 0.2 < (data.labels["hand"][kept] > 0).mean() < 0.8
+    assert (np.median(samples.signals[:, :, 1], axis=1) > 0.0).mean() > 0.9
     np.testing.assert_allclose(np.exp(samples.asked[:, 0]), data.labels["radius"][kept], rtol=1e-6)
     np.testing.assert_allclose(np.exp(samples.asked[:, 1]), data.labels["wavelength"][kept], rtol=1e-6)
     np.testing.assert_allclose(np.exp(samples.asked[:, 3]), samples.signals[:, :, 2].mean(axis=1), rtol=1e-5)
     assert ((samples.asked[:, 2] >= 0.0) & (samples.asked[:, 2] <= 1.0)).all()
+    assert not samples.asked[:, 4].any()
     assert len(Samples.of([data, data])) == 2 * len(samples)
     with pytest.raises(ReadError, match="different cells"):
         Samples.of([data, read_dataset(strands)])
 
 
-def test_a_batch_is_of_whitened_signals_half_of_them_mirrored_and_some_by_themselves(strands: Path) -> None:
+def test_a_batch_is_of_whitened_signals_of_one_hand_and_of_some_by_themselves_of_either(strands: Path) -> None:
     samples = Samples.of([read_dataset(strands)])
     options, whitening = tiny_options(batch=512), samples.whitening()
     batch = draw_batch(samples, whitening, CosineSchedule(), options, 3)
     clean = batch.clean.numpy().astype(np.float64)
     values = samples.signals.astype(np.float64)
-    both = np.concatenate([whitening.whiten(values), whitening.mirrored(whitening.whiten(values))])
-    away = np.abs(clean[:, None] - both[None]).max(axis=(2, 3))
+    away = np.abs(clean[:, None] - whitening.whiten(values)[None]).max(axis=(2, 3))
     found = away.min(axis=1) < 1e-5
-    assert 0.4 < found.mean() < 0.6
-    mirrored = away[found].argmin(axis=1) >= len(values)
-    assert 0.4 < mirrored.mean() < 0.6
+    assert abs(found.mean() - (1.0 - BY_ITSELF)) < 0.1
     # The others have the mean and deviation that whitening gives a strand by itself, and nothing is asked of them.
+    alone = np.stack([Whitening.of([one]).whiten(one) for one in values])
+    curvature = np.abs(clean[~found][:, None, 0] - alone[None, :, 0]).max(axis=2).argmin(axis=1)
+    hands = np.sign((clean[~found][:, 1] * alone[curvature, 1]).mean(axis=1))
+    assert 0.3 < (hands > 0).mean() < 0.7
     np.testing.assert_allclose(clean[~found].mean(axis=2), 0.0, atol=1e-5)
     known = batch.known.numpy()
     assert not known[~found].any()

@@ -16,7 +16,7 @@ from detangled.fitted import FittedTexture
 from detangled.fitting import fit
 from detangled.formats import read
 from detangled.geometry.signal import curve_counts, curves, signals
-from detangled.synthesis import grid_cells, synthesise
+from detangled.synthesis import synthesise
 
 EXAMPLES = Path(__file__).resolve().parents[1] / "examples"
 
@@ -296,7 +296,7 @@ def test_arcs_are_exact_and_cells_keep_their_width(texture: FittedTexture) -> No
     made = np.array([values[a:b, 2].mean() for a, b in pairwise(starts)])
     np.testing.assert_allclose(made, arcs, rtol=1e-12)
     cells = np.diff(starts)
-    np.testing.assert_array_equal(cells, grid_cells(texture, arcs))
+    np.testing.assert_array_equal(cells, texture.grid_cells(arcs))
     assert np.all(cells % 16 == 0)
     np.testing.assert_allclose((arcs / cells)[1:] / texture.cell_width, 1.0, atol=0.1)
 

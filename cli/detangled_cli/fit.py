@@ -7,13 +7,13 @@ from pathlib import Path
 import click
 
 from detangled_cli.console import announce_first_run, quiet_option, threads_option, unit_option
-from detangled_cli.targets import method_option
+from detangled_cli.targets import fitting_option
 
 
 @click.command()
 @click.argument("source", metavar="STRANDS", type=click.Path(path_type=Path))
 @click.argument("target", metavar="OUT.texture", type=click.Path(path_type=Path))
-@method_option
+@fitting_option
 @click.option(
     "--seed",
     type=click.IntRange(min=0),

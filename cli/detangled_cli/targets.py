@@ -12,23 +12,25 @@ from detangled.errors import ModelError
 from detangled_cli.console import UNIT, Command, note, progress_bar, warn
 
 if TYPE_CHECKING:
+    from detangled.base_texture import Texture
     from detangled.diffusion.finetune import FineTuning
     from detangled.fitted import FittedTexture
     from detangled.groom import Attribute, Groom
 
 
-METHODS = ("patches", "finetune")
-DEFAULT_METHOD = "patches"
+FITTING = ("patches", "finetune")  # the first by default, of either
+ASKING = ("library", "conditioned", "guided", "both")
 
 
-def method_option(command: Command) -> Command:
-    """--method, as ``method``: a name or None."""
-    return click.option(
-        "--method",
-        type=click.Choice(METHODS),
-        help="How to learn from strands: patches at once, finetune trains a network on them for minutes. "
-        f"[default: {DEFAULT_METHOD}]",
-    )(command)
+_HOW_TO_FIT = (
+    "How to learn from strands: patches at once, finetune trains a network on them for minutes. "
+    f"[default: {FITTING[0]}]"
+)
+
+
+def fitting_option(command: Command) -> Command:
+    """--method of learning from strands, as ``method``: a name or None."""
+    return click.option("--method", type=click.Choice(FITTING), help=_HOW_TO_FIT)(command)
 
 
 def texture_options(command: Command) -> Command:
@@ -52,7 +54,15 @@ def texture_options(command: Command) -> Command:
             click.option(
                 "--porosity", type=float, metavar="P", help="0 to 1: written as an attribute. It changes no shape."
             ),
-            method_option,
+            click.option(
+                "--method",
+                type=click.Choice([*FITTING, *ASKING]),
+                help=f"{_HOW_TO_FIT} Of a type or numbers: library learns from strands like it; conditioned tells a "
+                f"network the numbers, guided guides it to them, both does both. [default: {ASKING[0]}]",
+            ),
+            click.option(
+                "--finite-differences", is_flag=True, help="Guide without the labelers' gradients: the same, slower."
+            ),
             click.option(
                 "--target-unit",
                 type=UNIT,
@@ -72,20 +82,26 @@ def wanted_texture(
     wavelength: str | None,
     twist: float | None,
     method: str | None,
+    finite_differences: bool,
     target_unit: str | None,
     seed: int,
-) -> FittedTexture:
+) -> Texture:
     """The texture that ``texture_options`` ask for: by examples, or by a type and numbers."""
     numbers = {"--type": hair, "--radius": radius, "--wavelength": wavelength, "--twist": twist}
     given = [name for name, value in numbers.items() if value is not None]
     if texture_source is not None:
         if given:
             raise click.UsageError(f"--target tells the texture already: leave {' and '.join(given)} out, or --target")
+        if method in ASKING or finite_differences:
+            raise click.UsageError(f"--method {', '.join(ASKING)} and --finite-differences go with a type or numbers")
         return fitted_texture(texture_source, target_unit, method, seed)
     if not given:
         raise click.UsageError(f"which texture? Give --target, or one or more of {', '.join(numbers)}")
-    if method not in (None, "patches") or target_unit is not None:
-        raise click.UsageError("--method finetune and --target-unit go with --target")
+    method = method or ASKING[0]
+    if method in FITTING or target_unit is not None:
+        raise click.UsageError(f"--method {' and '.join(FITTING)} and --target-unit go with --target")
+    if finite_differences and method not in ("guided", "both"):
+        raise click.UsageError("--finite-differences go with --method guided or both")
     from detangled.asked import asked, asked_texture
     from detangled.texture import hair_type, parse_profile
 
@@ -96,7 +112,7 @@ def wanted_texture(
         twist,
     )
     note(f"texture: {what}")
-    return asked_texture(what)
+    return asked_texture(what, method, finite_differences=finite_differences)
 
 
 def fibre_attributes(thickness: str | None, porosity: float | None) -> dict[str, Attribute]:
@@ -138,7 +154,7 @@ def fitted_texture(
         unusable = strands.strand_count - int(usable_strands(strands).sum())
         if unusable:
             warn(f"{target}: {unusable} of {strands.strand_count} strands cannot be used and are left out")
-        texture = _fit(strands, method or DEFAULT_METHOD, seed, training_steps)
+        texture = _fit(strands, method or FITTING[0], seed, training_steps)
     note(f"{target}: {describe(texture)}")
     return texture
 

@@ -4,7 +4,13 @@ from __future__ import annotations
 
 from dataclasses import dataclass
 
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.settling import Settling
 from detangled.shape import Shape
+
+CELL_MULTIPLE = 16  # of a grid, as networks take it; strands of nearly one length share a grid, and so a batch
 
 
 @dataclass(frozen=True, kw_only=True)
@@ -19,6 +25,8 @@ class Texture:
     them. waves: whether the strands are waves too weak for a centreline, whose axis is the mean over a turn.
     shape: how radius and wavelength run from root to tip, where they are asked to; a strand is given it once it is
     drawn. All else is said of even strands.
+    fewest_cells: of the grid of any strand.
+    settling: how each strand is resized until it reads as asked; None where strands are left as they are drawn.
     """
 
     cell_width: float
@@ -31,6 +39,13 @@ class Texture:
     stiff: bool = True
     waves: bool = False
     shape: Shape | None = None
+    fewest_cells: int = CELL_MULTIPLE
+    settling: Settling | None = None
+
+    def grid_cells(self, arcs: NDArray[np.float64]) -> NDArray[np.int64]:
+        """Cells (S,) on which strands of these arc lengths [cm] keep cells about as wide as the texture's."""
+        blocks = np.round(arcs / (self.cell_width * CELL_MULTIPLE)).astype(np.int64)
+        return np.maximum(CELL_MULTIPLE * blocks, self.fewest_cells)
 
     @property
     def finest_turn(self) -> float:

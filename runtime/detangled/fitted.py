@@ -20,11 +20,12 @@ from detangled.diffusion.patches import PatchSchedule
 from detangled.diffusion.whitening import Whitening
 from detangled.errors import ModelError, ReadError
 from detangled.formats import replacing
+from detangled.settling import Settling
 from detangled.shape import Shape
 
 SUFFIX = ".texture"
 FORMAT = "detangled texture"
-VERSION = 4
+VERSION = 5
 PATCHES, FINETUNE = "patches", "finetune"
 METHODS = (PATCHES, FINETUNE)
 
@@ -83,6 +84,7 @@ def save_texture(texture: FittedTexture, path: str | Path) -> None:
         "stiff": texture.stiff,
         "waves": texture.waves,
         "shape": texture.shape and asdict(texture.shape),
+        "settling": texture.settling and texture.settling._asdict(),
     }
     arrays = {
         "manifest": np.array([json.dumps(manifest, sort_keys=True)]),
@@ -118,7 +120,7 @@ def load_texture(path: str | Path) -> FittedTexture:
         levels = arrays["calibration"].astype(np.float64, casting="safe")
         _check_arrays(values, starts, weights, method)
         _check_calibration(levels, method)
-        shape = manifest["shape"]
+        shape, settling = manifest["shape"], manifest["settling"]
         return FittedTexture(
             signals=values,
             starts=starts,
@@ -131,11 +133,14 @@ def load_texture(path: str | Path) -> FittedTexture:
             stiff=bool(manifest["stiff"]),
             waves=bool(manifest["waves"]),
             shape=None if shape is None else Shape(**shape),
+            settling=None if settling is None else Settling(**settling),
             architecture=dict(manifest["architecture"]),
-            **{
-                name: float(manifest[name])
-                for name in ("cell_width", "turn", "median_arc", "arc_per_axis", "radius", "wavelength")
-            },
+            cell_width=float(manifest["cell_width"]),
+            turn=float(manifest["turn"]),
+            median_arc=float(manifest["median_arc"]),
+            arc_per_axis=float(manifest["arc_per_axis"]),
+            radius=float(manifest["radius"]),
+            wavelength=float(manifest["wavelength"]),
         )
     except (*DAMAGE, AttributeError, IndexError, OverflowError) as error:
         raise ModelError(f"{path}: not a texture made by detangled fit, or damaged ({type(error).__name__})") from error

@@ -64,12 +64,12 @@ class Labels:
     reading: NDArray[np.int8]
 
 
-def label(groom: Groom, progress: Callable[[int], object] | None = None) -> Labels:
+def label(groom: Groom, progress: Callable[[int], object] | None = None, model: ExportedModel | None = None) -> Labels:
     """Read the texture of every strand of a groom. progress: told how many strands were finished.
 
-    Raises ModelError where the labelers are missing or damaged.
+    model: the labelers, those that come with detangled where None. Raises ModelError where they are missing or damaged.
     """
-    model = load_labeler()
+    model = model or load_labeler()
     kept = np.flatnonzero(usable_strands(groom))
     count = groom.strand_count
     radius, wavelength, twist, length = (np.full(count, np.nan) for _ in range(4))

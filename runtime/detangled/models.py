@@ -37,8 +37,8 @@ LABELER = "labeler"
 LABELER_GRADIENT = "labeler gradient"
 LIBRARY = "library"
 
-# What may be asked of a denoiser: logarithms of cm (the length is the arc of what it is shown), T_f, and whether hair is
-# as it hangs (1) or as it would be without weight (0).
+# What may be asked of a denoiser: logarithms of cm (the length is the arc of what it is shown), T_f, and whether hair
+# is as it hangs (1) or as it would be without weight (0).
 CONDITION_NAMES = ("log radius", "log wavelength", "twist", "log length", "hung")
 FILES = {
     DENOISER: "denoiser.onnx",

@@ -19,9 +19,9 @@ from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import resampled_attributes, style_guides
-from detangled.grooming.lengths import Length, Seats, strands_on_guides
+from detangled.grooming.lengths import Length, Seats, canonical_of, strands_on_guides
 from detangled.grooming.placing import resample
-from detangled.synthesis import grid_cells, synthesise
+from detangled.synthesis import synthesise
 
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
@@ -79,6 +79,7 @@ def retexture(
     if options.length is Length.STRAND:
         goals = arc_lengths(guides.groom.points, guides.groom.offsets)
     arcs, short = arcs_to_make(texture, goals, options.length)
+    kept = goals * texture.arc_per_axis if options.length is Length.GUIDE else goals
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
         roots=guides.canonical()[guides.groom.offsets[:-1]],
@@ -97,12 +98,16 @@ def retexture(
     reached = np.ones(len(guides.kept))
     per_turn = np.full(len(guides.kept), float(POINTS_PER_TURN))
     # Strands on grids of one size are made together.
-    order = np.argsort(grid_cells(texture, arcs), kind="stable")
+    order = np.argsort(texture.grid_cells(arcs), kind="stable")
     for first in range(0, len(order), CHUNK):
         members = np.sort(order[first : first + CHUNK])
         names = guides.kept[members]
         values, starts = synthesise(texture, arcs[members], names, options.seed, options.steps, progress)
-        made = strands_on_guides(values, starts, seats.select(members), options.length)
+        here = seats.select(members)
+        if texture.settling is not None:
+            drawn = canonical_of(values, starts, here)
+            here = replace(here, sizes=texture.settling.sizes(*drawn, kept[members]))
+        made = strands_on_guides(values, starts, here, options.length)
         reached[members] = made.reached
         needed = _points_needed(texture, made.points, made.offsets)
         counts = np.maximum(needed, guides.groom.point_counts[members])
@@ -171,8 +176,6 @@ def turns_about_axis(seed: int, names: NDArray[np.int64]) -> NDArray[np.float64]
     return np.array([np.random.default_rng([seed, int(name), 1]).uniform(-np.pi, np.pi) for name in names])
 
 
-def _points_needed(
-    texture: Texture, points: NDArray[np.float64], offsets: NDArray[np.int64]
-) -> NDArray[np.int64]:
+def _points_needed(texture: Texture, points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.int64]:
     """Points (S,) that give every turn of the texture enough."""
     return np.ceil(POINTS_PER_TURN * arc_lengths(points, offsets) / texture.finest_turn).astype(np.int64) + 1

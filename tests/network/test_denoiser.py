@@ -26,9 +26,7 @@ from detangled.diffusion.denoiser import (
     window_starts,
 )
 from detangled.errors import ModelError
-from detangled.models import (
-    Model,
-)
+from detangled.models import CONDITION_NAMES, Model
 
 
 def signals_like(strands: int, cells: int, seed: int = 0) -> Floats:
@@ -52,6 +50,17 @@ def test_a_short_strand_is_shown_whole_with_nothing_asked(denoiser: Model, cells
     found = NetworkDenoiser(denoiser)(noisy, ALPHA, SIGMA)
     assert (found.shape, found.dtype) == (noisy.shape, np.float64)
     np.testing.assert_allclose(found, formula(WEIGHTS, noisy), rtol=0, atol=FLOAT32)
+
+
+@pytest.mark.parametrize("cells", [CELLS, 2 * CELLS])
+def test_what_is_asked_of_a_strand_its_windows_are_told_with_their_own_length(denoiser: Model, cells: int) -> None:
+    noisy = np.zeros((2, 3, cells))
+    asked = np.array([[0.5, np.nan, 0.25, 1.0, np.nan], [np.nan, np.nan, np.nan, np.nan, 1.0]])
+    told = asked + np.log(CELLS / cells) * (np.array(CONDITION_NAMES) == "log length")
+    found = NetworkDenoiser(denoiser)(noisy, ALPHA, SIGMA, asked)
+    added = found - NetworkDenoiser(denoiser)(noisy, ALPHA, SIGMA)
+    wanted = np.nansum(told + 1.0, axis=1)[:, None, None] * np.ones(noisy.shape)
+    np.testing.assert_allclose(added, wanted, rtol=0, atol=FLOAT32)
 
 
 @pytest.mark.parametrize("cells", [CELLS, 3 * CELLS + 16])

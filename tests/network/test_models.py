@@ -124,6 +124,7 @@ def test_one_kind_is_not_taken_for_the_other(own: Path) -> None:
         (DENOISER, {"weights": {}}),
         (DENOISER, {"weights": {"offset": -1}}),
         (DENOISER, {"weights": None}),
+        (DENOISER, {"conditions": ["log radius"]}),
         (DENOISER, {"architecture": 3}),
         (DENOISER, {"whitening": {"scale": [1.0, 1.0]}}),
         (DENOISER, {"whitening": None}),

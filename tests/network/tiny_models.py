@@ -23,6 +23,7 @@ from onnx import TensorProto, helper, numpy_helper
 
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
+from detangled.models import CONDITION_NAMES
 
 CHANNELS, FEATURES = 3, 4
 PARAMETERS = CHANNELS * FEATURES
@@ -69,7 +70,7 @@ def export_tiny(folder: Path, architecture: dict[str, Any] | None = None, weight
     offset = denoiser.index(stored.tobytes())
     kept = {"element": "float16", "offset": offset}
     for name, data, own in (
-        ("denoiser", denoiser, {"kind": "denoiser", "weights": kept}),
+        ("denoiser", denoiser, {"kind": "denoiser", "weights": kept, "conditions": list(CONDITION_NAMES)}),
         ("training_step", step, {"kind": "training step", "batch": BATCH}),
     ):
         (folder / f"{name}.onnx").write_bytes(data)
@@ -133,11 +134,12 @@ def _denoiser(weights: NDArray[np.float16]) -> bytes:
     g = _Graph()
     unasked = g.prediction(g.do("Cast", "weights", to=TensorProto.FLOAT), g.features())
     wished = g.do("Mul", g.do("Add", "condition", g.constant(1.0)), "known")
-    asked = g.do("ReduceSum", wished, g.axes(1), keepdims=1)
-    g.do("Add", unasked, g.do("Unsqueeze", asked, g.axes(2)), output="clean")
+    added = g.do("ReduceSum", wished, g.axes(1), keepdims=1)
+    g.do("Add", unasked, g.do("Unsqueeze", added, g.axes(2)), output="clean")
     signal = ["batch", CHANNELS, "cells"]
     inputs = {"noisy": signal, "log_snr": ["batch"], "position": ["batch", "cells"]}
-    inputs |= {"condition": ["batch", 4], "known": ["batch", 4]}
+    asked = ["batch", len(CONDITION_NAMES)]
+    inputs |= {"condition": asked, "known": asked}
     return g.serialized("denoiser", inputs, {"clean": signal}, [numpy_helper.from_array(weights, "weights")])
 
 

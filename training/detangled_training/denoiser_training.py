@@ -116,9 +116,7 @@ class Samples:
             right = one.signals.copy()
             right[:, :, 1] *= labels["hand"][:, None]
             kept = ~labels["read"]
-            parts.append(
-                [array[kept].astype(np.float32, copy=False) for array in (right, asked, labels["position"])]
-            )
+            parts.append([array[kept].astype(np.float32, copy=False) for array in (right, asked, labels["position"])])
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def select(self, chosen: NDArray[np.int64]) -> Samples:

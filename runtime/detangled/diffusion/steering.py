@@ -1,4 +1,4 @@
-"""Guidance that keeps a generated strand's axis straight, as its examples' are.
+"""Guidance in closed form: a generated strand's arc length, and its axis, straight as its examples' are.
 
 A signal of curvature and torsion says nothing of the axis' direction: small errors turn it a little at each twist,
 and the turns add up along the strand. In canonical space the axis is straight by definition, so the prediction is
@@ -117,4 +117,11 @@ def steer_strands(signals: NDArray[np.float64], turn: float) -> NDArray[np.float
         steer_strand(kappa, tau, signals[b, :, 2].mean() / cells, turn)
         out[b, :, 0] = kappa
         out[b, :, 1] = tau
+    return out
+
+
+def with_arcs(values: NDArray[np.float64], arcs: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Signals (B, L, 3) of strands of these arc lengths (B,) [cm]: v is scaled, which leaves kappa and tau alone."""
+    out = values.copy()
+    out[:, :, 2] *= (arcs / values[:, :, 2].mean(axis=1))[:, None]
     return out

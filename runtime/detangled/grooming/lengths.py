@@ -51,7 +51,8 @@ class Seats:
     dropped: arc length [cm] that short strands lose at the root too, where a centreline is known least well.
     stiff: whether short strands are taken to have straight axes: a few turns do not say how an axis bends, and to
     unbend what was found of it would add torsion. wave_turn: arc length [cm] of a turn where the strands are weak
-    waves, else 0. shape: given to canonical strands.
+    waves, else 0. shape: given to canonical strands. sizes: (S, 2), factors that radius and wavelength of canonical
+    strands are given first; None for none.
     """
 
     guides: Groom
@@ -63,6 +64,7 @@ class Seats:
     stiff: bool = True
     wave_turn: float = 0.0
     shape: Shape | None = None
+    sizes: NDArray[np.float64] | None = None
 
     def select(self, chosen: NDArray[np.int64]) -> Seats:
         """These seats alone."""
@@ -76,6 +78,7 @@ class Seats:
             self.stiff,
             self.wave_turn,
             self.shape,
+            None if self.sizes is None else self.sizes[chosen],
         )
 
 
@@ -120,8 +123,9 @@ def _built(
 ) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
     """Strands of signals on the chosen seats, cut at their goals, their offsets, and the lengths they had uncut."""
     seats = seats.select(chosen)
-    dropped = np.where(seats.short, seats.dropped, 0.0)
-    canonical, offsets = canonical_strands(values, starts, seats.short & seats.stiff, dropped, seats.wave_turn)
+    canonical, offsets = canonical_of(values, starts, seats)
+    if seats.sizes is not None:
+        canonical = resized(canonical, offsets, seats.sizes)
     if seats.shape is not None:
         canonical = seats.shape.given_to(canonical, offsets, seats.goals, length is Length.GUIDE)
     if length is Length.GUIDE:
@@ -135,6 +139,14 @@ def _built(
         lengths = along[offsets[1:] - 1]
         world, offsets = cut(world, offsets, along, seats.goals)
     return world, offsets, lengths
+
+
+def canonical_of(
+    values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats
+) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
+    """Strands of signals (C, 3) in canonical space, as they are drawn for these seats: points (P, 3), offsets."""
+    dropped = np.where(seats.short, seats.dropped, 0.0)
+    return canonical_strands(values, starts, seats.short & seats.stiff, dropped, seats.wave_turn)
 
 
 def canonical_strands(
@@ -158,6 +170,11 @@ def canonical_strands(
         axes = _straightened(axes, offsets, straight)
     canonical = to_canonical(points, axes, offsets)
     return _without_roots(canonical, offsets, dropped)
+
+
+def resized(points: NDArray[np.float64], offsets: NDArray[np.int64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Canonical strands (P, 3) with factors (S, 2) of radius and wavelength."""
+    return points * np.repeat(sizes[:, [0, 0, 1]], np.diff(offsets), axis=0)
 
 
 def _straightened(

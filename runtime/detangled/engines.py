@@ -1,0 +1,212 @@
+"""What draws signals of new strands: the closed-form denoiser or a network, in the multistep solver.
+
+Paper section "Inference": at each step the predicted clean signal is given its length, which is linear in v, and a
+straight axis; where numbers are asked for it is guided to them.
+"""
+
+from __future__ import annotations
+
+from typing import Protocol
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.base_texture import Texture
+from detangled.diffusion.calibration import calibrated
+from detangled.diffusion.denoiser import NetworkDenoiser
+from detangled.diffusion.guidance import Guidance, by_differences, by_gradients
+from detangled.diffusion.patches import denoise_strands, plan_stretches
+from detangled.diffusion.sampler import Denoiser, Guide, SamplerStep, sample
+from detangled.diffusion.schedule import CosineSchedule
+from detangled.diffusion.steering import steer_strands, with_arcs
+from detangled.errors import ModelError
+from detangled.fitted import FINETUNE, FittedTexture
+from detangled.kernels import thread_count
+from detangled.labeling import LabelGradient, LabelNetwork
+from detangled.models import DENOISER, LABELER_GRADIENT, load_labeler, load_model
+from detangled.numbered import CONDITIONED, GUIDED, NumberedTexture
+
+OFFERED = 12  # examples offered to each stretch of a strand
+WIDEST_SHARE = 0.8  # of a stretch: the half-width of its widest patches
+# The axis of a signal that is mostly noise means nothing.
+STEER_BELOW = 1.0  # sigma / alpha
+FEWEST_TURNS_TO_STEER = 12.0
+# Sizes are guided from the first step on where the network is not told them, else once they show; twists, which are
+# sudden, show late. All sigma / alpha.
+GUIDE_SIZES_BELOW, GUIDE_TWIST_BELOW = 1.0, 0.5
+
+
+class Engine(Protocol):
+    """Draws strands of one texture. shown: cells of the shortest strands that it draws whole."""
+
+    shown: int
+
+    def draw(
+        self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
+    ) -> NDArray[np.float64]:
+        """Signals (B, cells, 3) of strands of arc lengths (B,) [cm], each of its own stream of random numbers."""
+        ...
+
+
+def engine_of(texture: Texture) -> Engine:
+    """The engine that draws a texture. Raises ModelError where the model that it takes is missing or another."""
+    if isinstance(texture, NumberedTexture):
+        return NumberedEngine(texture)
+    if not isinstance(texture, FittedTexture):
+        raise TypeError(f"nothing draws a {type(texture).__name__}")
+    return NetworkEngine(texture) if texture.method == FINETUNE else PatchEngine(texture)
+
+
+class PatchEngine:
+    """The closed-form denoiser, by patches of the examples."""
+
+    def __init__(self, texture: FittedTexture) -> None:
+        self._texture = texture
+        self.shown = 0
+
+    def draw(
+        self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
+    ) -> NDArray[np.float64]:
+        noise = _noise(generators, cells)
+        channels = sample(
+            self._denoiser(cells, generators), noise, CosineSchedule(), steps, _fitted_guide(self._texture, cells, arcs)
+        )
+        return with_arcs(self._texture.whitening.restore(channels), arcs)
+
+    def _denoiser(self, cells: int, generators: list[np.random.Generator]) -> Denoiser:
+        """The denoiser for a batch of strands, each with examples of its own."""
+        texture = self._texture
+        lengths = texture.cells
+        stretches = int(np.ceil(2.0 * cells / np.median(lengths)))
+        bounds = np.round(np.linspace(0, cells, stretches + 1)).astype(np.int64)
+        plans = [plan_stretches(rng, lengths, cells, bounds, min(OFFERED, max(len(lengths), 4))) for rng in generators]
+        chosen = np.stack([plan[0] for plan in plans])
+        diagonals = np.stack([plan[1] for plan in plans])
+        examples = texture.channels
+        widest = max(1, int(WIDEST_SHARE * cells / stretches))
+        schedule = texture.schedule
+
+        def denoise(noisy: NDArray[np.float64], alpha: float, sigma: float) -> NDArray[np.float64]:
+            half_width = min(schedule.half_width(alpha, sigma), widest)
+            return denoise_strands(
+                noisy, alpha, sigma, examples, texture.starts, bounds, chosen, diagonals, half_width, schedule.window
+            )
+
+        return denoise
+
+
+class NetworkEngine:
+    """The network that was trained on a texture's examples; what it draws is calibrated to them.
+
+    To it short hair is a piece, from anywhere, of a strand as long as those it was shown.
+    """
+
+    def __init__(self, texture: FittedTexture) -> None:
+        model = load_model(DENOISER)
+        if model.architecture != texture.architecture or model.parameters != len(texture.weights):
+            raise ModelError(f"the texture was fitted with another network than {model.path}: fit it again")
+        self._network = NetworkDenoiser(model, texture.weights, thread_count())
+        self._texture = texture
+        self.shown = int(texture.grid_cells(np.array([texture.median_arc]))[0])
+
+    def draw(
+        self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
+    ) -> NDArray[np.float64]:
+        texture = self._texture
+        guide = _fitted_guide(texture, cells, arcs)
+        # A network of senseless weights predicts whatever it may: that is told of below, once.
+        with np.errstate(all="ignore"):
+            channels = sample(self._network, _noise(generators, cells), CosineSchedule(), steps, guide)
+            if texture.calibration.size:
+                channels = calibrated(channels, texture.calibration)
+            values = with_arcs(texture.whitening.restore(channels), arcs)
+        if not np.isfinite(values).all():
+            raise ModelError("the texture's network predicts no finite strands, its weights are damaged: fit it again")
+        return values
+
+
+class NumberedEngine:
+    """The pretrained network, told the numbers of a texture, guided to them, or both."""
+
+    def __init__(self, texture: NumberedTexture) -> None:
+        self._texture = texture
+        self._model = load_model(DENOISER)
+        self._network = NetworkDenoiser(self._model, threads=thread_count())
+        self._guidance = None if texture.method == CONDITIONED else _guidance(texture)
+        self.shown = 0
+
+    def draw(
+        self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
+    ) -> NDArray[np.float64]:
+        texture, whitening = self._texture, self._model.whitening
+        told = np.log(texture.asked_radius), np.log(texture.asked_wavelength), texture.asked_twist
+        condition = np.stack(
+            [*(np.full(len(arcs), number) for number in told), np.log(arcs), np.full(len(arcs), texture.asked_hung)], 1
+        )
+        if texture.method == GUIDED:
+            condition[:] = np.nan
+        steered = _steered(texture, cells)
+        guided = None if self._guidance is None else self._guidance.begin()
+
+        def denoise(noisy: NDArray[np.float64], alpha: float, sigma: float) -> NDArray[np.float64]:
+            return self._network(noisy, alpha, sigma, condition)
+
+        def guide(channels: NDArray[np.float64], step: SamplerStep) -> NDArray[np.float64]:
+            values = with_arcs(whitening.restore(channels), arcs)
+            trust = _trust(texture.method, step)
+            if guided is not None and trust.any():
+                values = guided(values, trust)
+            if steered and step.sigma < STEER_BELOW * step.alpha:
+                values = steer_strands(values, texture.turn)
+            return whitening.whiten(values)
+
+        with np.errstate(all="ignore"):
+            channels = sample(denoise, _noise(generators, cells), CosineSchedule(), steps, guide)
+            values = with_arcs(whitening.restore(channels), arcs)
+        if not np.isfinite(values).all():
+            raise ModelError(f"{self._model.path}: predicts no finite strands: export the model anew")
+        return values
+
+
+def _guidance(texture: NumberedTexture) -> Guidance:
+    """Guidance to the numbers that are asked for."""
+    labeler = LabelNetwork(load_labeler(), thread_count())
+    if texture.finite_differences:
+        derivatives = by_differences(labeler)
+    else:
+        derivatives = by_gradients(LabelGradient(load_labeler(LABELER_GRADIENT), thread_count()))
+    wanted = np.array([np.log(texture.asked_radius), np.log(texture.asked_wavelength), texture.asked_twist])
+    return Guidance(wanted, texture.turn, labeler, derivatives)
+
+
+def _trust(method: str, step: SamplerStep) -> NDArray[np.float64]:
+    """How much radius, wavelength and twist count at a step, (3,)."""
+    noise = step.sigma / step.alpha
+    sizes = float(method == GUIDED or noise < GUIDE_SIZES_BELOW)
+    return np.array([sizes, sizes, float(noise < GUIDE_TWIST_BELOW)])
+
+
+def _noise(generators: list[np.random.Generator], cells: int) -> NDArray[np.float64]:
+    return np.stack([rng.standard_normal((3, cells)) for rng in generators])
+
+
+def _fitted_guide(texture: FittedTexture, cells: int, arcs: NDArray[np.float64]) -> Guide:
+    """What every predicted clean signal is given: the arc length asked for, and a straight axis."""
+    whitening = texture.whitening
+    steered = _steered(texture, cells)
+
+    def guide(channels: NDArray[np.float64], step: SamplerStep) -> NDArray[np.float64]:
+        values = with_arcs(whitening.restore(channels), arcs)
+        if steered and step.sigma < STEER_BELOW * step.alpha:
+            values = steer_strands(values, texture.turn)
+        return whitening.whiten(values)
+
+    return guide
+
+
+def _steered(texture: Texture, cells: int) -> bool:
+    """Whether strands on a grid are long enough to be steered.
+
+    By the grid, not the arc lengths of a batch: a strand must not depend on its neighbours.
+    """
+    return cells * texture.cell_width > FEWEST_TURNS_TO_STEER * texture.turn and cells > texture.fewest_cells
