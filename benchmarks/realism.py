@@ -7,10 +7,10 @@ any other. Two sets are drawn of those of its strands that are held out from any
 one is generated with its numbers and of its length: these stand in for the second set beside the first, and the second
 itself is the floor. Printed are, in a space of what a strand is like (how its curvature, torsion and distance from the
 axis are spread), 1-NNA (50 % where the two cannot be told apart; bounds 45 to 65 %), the mean distance of a real strand
-from the nearest (MMD), the share of real strands that are nearest to some (COV), and Wasserstein-1 distances of
-curvature, torsion's size and distance from the axis, all strands' together, beside those of the floor (bound 1.5
-times). Real and generated strands are measured alike, from points. Exits 1 where a method given by --judged fails a
-bound.
+from the nearest (MMD), the share of real strands that are nearest to some (COV), how far strands of the set are from
+each other in the median, over that of real ones, and Wasserstein-1 distances of curvature, torsion's size and distance
+from the axis, all strands' together, beside those of the floor (bound 1.5 times). Real and generated strands are
+measured alike, from points. Exits 1 where a method given by --judged fails a bound.
 """
 
 from __future__ import annotations
@@ -86,29 +86,37 @@ def main(arguments: list[str] | None = None) -> int:
     first, second, wanted = real_strands(options.data, options.strands, options.seed)
     floor = distances(first, second)
     print(f"{options.strands} strands a set; real strands beside other real ones, and beside generated ones")
-    print("method         1-NNA    MMD    COV    W1: " + "  ".join(f"{name:>8}" for name in NAMES) + "   strands/s")
+    print(
+        "method         1-NNA    MMD    COV  spread   W1: " + "  ".join(f"{name:>8}" for name in NAMES) + "   strands/s"
+    )
     print(row("real", *compared(first, second), floor, floor))
     ok = True
     for method in options.methods:
         began = time.perf_counter()
         made = generated(method, wanted, options.seed)
         rate = options.strands / (time.perf_counter() - began)
-        nearest, mean, covered = compared(first, made)
+        nearest, mean, covered, spread = compared(first, made)
         found = distances(first, made)
         good = NNA_BOUNDS[0] <= nearest <= NNA_BOUNDS[1] and bool((found <= W1_BOUND * floor).all())
         ok &= good or method != options.judged
         print(
-            f"{row(method, nearest, mean, covered, found, floor)}   {rate:7.1f}   {'ok' if good else 'FAIL'}",
+            f"{row(method, nearest, mean, covered, spread, found, floor)}   {rate:7.1f}   {'ok' if good else 'FAIL'}",
             flush=True,
         )
     return int(not ok)
 
 
 def row(
-    name: str, nearest: float, mean: float, covered: float, found: NDArray[np.float64], floor: NDArray[np.float64]
+    name: str,
+    nearest: float,
+    mean: float,
+    covered: float,
+    spread: float,
+    found: NDArray[np.float64],
+    floor: NDArray[np.float64],
 ) -> str:
     ratios = "  ".join(f"{value:8.2f}" for value in found / floor)
-    return f"{name:12} {nearest:7.1%} {mean:6.2f} {covered:6.1%}        {ratios}"
+    return f"{name:12} {nearest:7.1%} {mean:6.2f} {covered:6.1%} {spread:7.2f}       {ratios}"
 
 
 def real_strands(folder: Path, count: int, seed: int) -> tuple[Measured, Measured, Wanted]:
@@ -177,8 +185,8 @@ def inner(offsets: NDArray[np.int64]) -> NDArray[np.float64]:
     return out
 
 
-def compared(real: Measured, other: Measured) -> tuple[float, float, float]:
-    """1-NNA, MMD and COV of a set beside a real one of as many strands."""
+def compared(real: Measured, other: Measured) -> tuple[float, float, float, float]:
+    """1-NNA, MMD, COV and spread of a set beside a real one of as many strands."""
     features = real.features
     scale = features.std(axis=0)
     both = np.concatenate([features, other.features]) / scale
@@ -188,7 +196,9 @@ def compared(real: Measured, other: Measured) -> tuple[float, float, float]:
     of_other = np.arange(2 * count) >= count
     nearest = float((of_other[away.argmin(axis=1)] == of_other).mean())
     across = away[:count, count:]
-    return nearest, float(across.min(axis=1).mean()), len(np.unique(across.argmin(axis=0))) / count
+    pairs = np.triu_indices(count, 1)
+    spread = float(np.median(away[count:, count:][pairs]) / np.median(away[:count, :count][pairs]))
+    return nearest, float(across.min(axis=1).mean()), len(np.unique(across.argmin(axis=0))) / count, spread
 
 
 def distances(real: Measured, other: Measured) -> NDArray[np.float64]:

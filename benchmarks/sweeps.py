@@ -1,0 +1,85 @@
+"""One number of a texture rising from left to right, the others as they are: the paper's supervision figure.
+
+python benchmarks/sweeps.py [OUT.png] [--method library] [--strands 24] [--seed 0]
+
+From type VI, radius, wavelength and twist prevalence are each swept over what hair has. Printed is what labelers read
+in the strands, in the median, of each of the three numbers; the number that is swept must rise with what is asked. The
+picture has a row for each. Exits 1 where a swept number does not rise.
+"""
+
+from __future__ import annotations
+
+import argparse
+import sys
+from dataclasses import replace
+from pathlib import Path
+
+import numpy as np
+from PIL import Image
+
+from detangled.asked import DEFAULT_METHOD, METHODS, asked, asked_texture
+from detangled.generation import generate, side_by_side
+from detangled.groom import Groom
+from detangled.labeling import label
+from detangled.texture import Profile, hair_type
+from detangled.view.picture import render, save
+
+SWEPT: dict[str, tuple[float, ...]] = {
+    "radius": (0.2, 0.3, 0.42, 0.6, 0.8),
+    "wavelength": (0.6, 0.9, 1.25, 1.8, 2.6),
+    "twist": (0.0, 0.2, 0.4, 0.6, 0.8),
+}
+LENGTH = 24.0  # [cm]
+SHOWN = 4  # strands of a panel
+SIZE = (360, 440)  # [px] of a panel
+COLOURS = 192
+
+
+def main(arguments: list[str] | None = None) -> int:
+    parser = argparse.ArgumentParser(description=__doc__, formatter_class=argparse.RawDescriptionHelpFormatter)
+    parser.add_argument("picture", nargs="?", type=Path)
+    parser.add_argument("--method", choices=METHODS, default=DEFAULT_METHOD)
+    parser.add_argument("--strands", type=int, default=24, help="that are read, of each texture")
+    parser.add_argument("--seed", type=int, default=0)
+    options = parser.parse_args(arguments)
+    rows = []
+    ok = True
+    for name, values in SWEPT.items():
+        panels = []
+        read = []
+        for value in values:
+            groom = strands(name, value, options.method, options.strands, options.seed)
+            found = label(groom)
+            read.append([float(np.nanmedian(numbers)) for numbers in (found.radius, found.wavelength, found.twist)])
+            print(
+                f"{name} {value:4.2f}: read "
+                + ", ".join(f"{one} {x:.2f}" for one, x in zip(SWEPT, read[-1], strict=True))
+            )
+            panels.append(middle(side_by_side(groom.select(np.arange(SHOWN)))))
+        column = [numbers[list(SWEPT).index(name)] for numbers in read]
+        rises = bool((np.diff(column) > 0.0).all())
+        print(f"{name} {'rises' if rises else 'does not rise: FAIL'}", flush=True)
+        ok &= rises
+        captions = [f"{name} {value:g}" + (" cm" if name != "twist" else "") for value in values]
+        rows.append(render(panels, SIZE, captions=captions).pixels)
+    if options.picture:
+        picture = np.concatenate(rows)
+        save(Image.fromarray(picture).quantize(COLOURS, dither=Image.Dither.NONE), options.picture)
+    return int(not ok)
+
+
+def strands(name: str, value: float, method: str, count: int, seed: int) -> Groom:
+    usual = asked(hair_type("VI"))
+    numbers = {"radius": usual.radius, "wavelength": usual.wavelength, "twist": usual.twist}
+    numbers[name] = value if name == "twist" else Profile((value,))
+    return generate(asked_texture(asked(**numbers), method), count, LENGTH, seed)  # type: ignore[arg-type]
+
+
+def middle(groom: Groom) -> Groom:
+    """Strands in the middle of their panel."""
+    left, right = groom.points[:, 0].min(), groom.points[:, 0].max()
+    return replace(groom, points=groom.points - [0.5 * (left + right), 0.0, 0.0])
+
+
+if __name__ == "__main__":
+    sys.exit(main())
