@@ -20,14 +20,13 @@ from detangled.asked import Asked, asked, asked_texture
 from detangled.errors import ModelError, TextureError
 from detangled.fitted import FittedTexture, load_texture, save_texture
 from detangled.formats import read, write
-from detangled.from_library import CHOSEN
 from detangled.generation import APART, IN_ROW, generate, side_by_side
 from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.geometry.winding import winding
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.lengths import Length
 from detangled.labeling import Reading, label
-from detangled.library import Library, load_library
+from detangled.library import CHOSEN, Library, load_library
 from detangled.models import FILES, LIBRARY, models_folder
 from detangled.retexturing import Options, retexture
 from detangled.shape import Shape

@@ -10,7 +10,7 @@ from detangled.base_texture import Texture
 from detangled.errors import TextureError
 from detangled.from_library import library_texture
 from detangled.from_network import network_texture
-from detangled.library import Library
+from detangled.library import Library, load_library
 from detangled.numbered import METHODS as NETWORK_METHODS
 from detangled.shape import Shape
 from detangled.texture import HAIR_TYPES, HairType, Profile, TextureParameters
@@ -102,7 +102,7 @@ def asked_texture(
 
     method: LIBRARY, by patches of strands most like it, from ``library`` or the one that comes with detangled; or by
     the pretrained network: CONDITIONED, told the numbers; GUIDED to them by the labelers; BOTH. finite_differences:
-    guide without the labelers' exported gradients. Warns where LIBRARY holds no hair like it. Raises TextureError for
+    guide without the labelers' exported gradients. Warns where no simulated hair is like it. Raises TextureError for
     an unknown method, ModelError where a model is missing or damaged.
     """
     if method not in METHODS:
@@ -112,6 +112,7 @@ def asked_texture(
     if method == LIBRARY:
         texture = library_texture(radius, wavelength, what.twist, library)
     else:
+        (library or load_library()).nearest(radius, wavelength, what.twist)  # warns: the network was shown such hair
         texture = network_texture(radius, wavelength, what.twist, method, finite_differences)
     if what.radius.constant and what.wavelength.constant:
         return texture

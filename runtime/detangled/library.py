@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import io
+import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -14,6 +15,12 @@ from detangled.archives import DAMAGE, read_arrays
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom
 from detangled.models import LIBRARY, blaming, verified
+from detangled.texture import TWISTS_PER_CM, arc_of_a_turn
+
+CHOSEN = 24  # strands of the library that a texture is learned from
+# Differences that count alike: of the logarithms of slope and size, and of the twist prevalence.
+SLOPE_AWAY, SIZE_AWAY, TWIST_AWAY = 0.25, 0.7, 0.05
+FAR = 2.0  # such differences
 
 
 @dataclass(frozen=True)
@@ -45,6 +52,25 @@ class Library:
     def arcs(self) -> NDArray[np.float64]:
         """Arc length of each strand [cm], (S,)."""
         return arc_lengths(self.points, self.offsets)
+
+    def nearest(self, radius: float, wavelength: float, twist: float) -> NDArray[np.int64]:
+        """The strands (CHOSEN,) most like hair of these numbers [cm], T_f. Warns where they are not like it."""
+        slope = np.log(self.wavelength / self.radius) - np.log(wavelength / radius)
+        # As large as asked, a strand has other twists a length.
+        ratio = arc_of_a_turn(radius, wavelength) / arc_of_a_turn(self.radius, self.wavelength)
+        twists = self.twists / (TWISTS_PER_CM * self.arcs * ratio) - twist
+        away = np.stack([slope / SLOPE_AWAY, np.log(ratio) / SIZE_AWAY, twists / TWIST_AWAY])
+        chosen = np.sort(np.argsort((away**2).sum(axis=0), kind="stable")[:CHOSEN])
+        if (np.median(np.abs(away[:, chosen]), axis=1) > FAR).any():
+            ranges = (np.percentile(x, (1, 99)) for x in (self.radius, self.wavelength / self.radius))
+            radii, slopes = (f"{low:.2g} to {high:.2g}" for low, high in ranges)
+            warnings.warn(
+                f"radius {radius:.2g} cm, wavelength {wavelength:.2g} cm, twist {twist:.2g} is unlike the hair that "
+                f"was simulated, and is made of the nearest there is: radii of {radii} cm, wavelengths of {slopes} radii, "
+                "with fewer twists the larger the curls",
+                stacklevel=2,
+            )
+        return chosen
 
     def select(self, chosen: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Points and offsets of some strands."""
