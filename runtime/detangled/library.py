@@ -66,8 +66,8 @@ class Library:
             radii, slopes = (f"{low:.2g} to {high:.2g}" for low, high in ranges)
             warnings.warn(
                 f"radius {radius:.2g} cm, wavelength {wavelength:.2g} cm, twist {twist:.2g} is unlike the hair that "
-                f"was simulated, and is made of the nearest there is: radii of {radii} cm, wavelengths of {slopes} radii, "
-                "with fewer twists the larger the curls",
+                f"was simulated, and is made of the nearest there is: radii of {radii} cm, wavelengths of {slopes} "
+                "radii, with fewer twists the larger the curls",
                 stacklevel=2,
             )
         return chosen
