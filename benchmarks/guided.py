@@ -1,6 +1,6 @@
 """Guided generation: where its time goes, beside torch, and its memory.
 
-python benchmarks/guided.py [--strands 1000] [--beside 128] [--many 30000]
+python benchmarks/guided.py [--strands 1000] [--beside 128] [--many 4000]
 
 Strands of type VI, 24 cm each on 256 cells, are drawn in 20 steps by ``--method both``: the network is told the numbers
 and guided to them. Printed are the total time, the shares of the denoiser and of the labelers, strands a second by how
@@ -18,7 +18,8 @@ import resource
 import subprocess
 import sys
 import time
-from collections.abc import Callable
+from collections.abc import Callable, Iterator
+from contextlib import contextmanager
 from typing import Any
 
 import numpy as np
@@ -26,13 +27,15 @@ import torch
 from numpy.typing import NDArray
 
 from detangled import engines
+from detangled.diffusion.guidance import LEAST_SIZE, Derivatives
 from detangled.from_network import network_texture
 from detangled.generation import generate
 from detangled.kernels import set_threads
 from detangled.models import DENOISER, load_model
-from detangled.numbered import BOTH, CONDITIONED
+from detangled.numbered import BOTH
 from detangled.synthesis import synthesise
 from detangled.texture import hair_type
+from detangled_training.checkpoint import architecture_of
 from detangled_training.labeler import Labeler
 from detangled_training.parameters import restore
 from detangled_training.unet import UNet
@@ -50,7 +53,7 @@ class TorchDenoiser:
 
     def __init__(self, *_: Any, **__: Any) -> None:
         model = load_model(DENOISER)
-        self._network = UNet()
+        self._network = UNet(architecture_of(model.architecture))
         restore(self._network, torch.from_numpy(model.weights.astype(np.float32)))
         self._network.eval()
 
@@ -71,25 +74,42 @@ class TorchDenoiser:
 
 
 class TorchLabels:
-    """``LabelNetwork`` and, with weights, ``LabelGradient``, by torch."""
+    """``LabelNetwork`` by torch."""
 
     def __init__(self, *_: Any, **__: Any) -> None:
         torch.manual_seed(1)
-        self._labeler = Labeler().eval()
+        self.labeler = Labeler().eval()
 
-    def __call__(self, values: NDArray[np.float64], weights: NDArray[np.float64] | None = None) -> Any:
-        labels, gradients = [], []
+    def __call__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        with torch.no_grad():
+            parts = torch.from_numpy(values.astype(np.float32)).split(TORCH_BATCH)
+            return torch.cat([self.told(part) for part in parts]).double().numpy()
+
+    def told(self, signals: torch.Tensor) -> torch.Tensor:
+        found = self.labeler(signals)
+        return torch.stack([found.radius, found.wavelength, found.twist], dim=1)
+
+
+def torch_derivatives(labels: TorchLabels) -> Derivatives:
+    """``by_gradients`` by torch: one pass forward, and one back for each label."""
+
+    def derivatives(values: NDArray[np.float64], directions: NDArray[np.float64]) -> NDArray[np.float64]:
+        found = []
         for first in range(0, len(values), TORCH_BATCH):
             part = slice(first, first + TORCH_BATCH)
-            signals = torch.from_numpy(values[part].astype(np.float32)).requires_grad_(weights is not None)
-            with torch.set_grad_enabled(weights is not None):
-                found = self._labeler(signals)
-                told = torch.stack([found.radius, found.wavelength, found.twist], dim=1)
-            labels.append(told.detach().double().numpy())
-            if weights is not None:
-                (gradient,) = torch.autograd.grad(told, signals, torch.from_numpy(weights[part].astype(np.float32)))
-                gradients.append(gradient.double().numpy())
-        return np.concatenate(labels) if weights is None else (np.concatenate(labels), np.concatenate(gradients))
+            signals = torch.from_numpy(values[part].astype(np.float32)).requires_grad_()
+            told = labels.told(signals)
+            rows = []
+            for k in range(told.shape[1]):
+                (gradient,) = torch.autograd.grad(told[:, k].sum(), signals, retain_graph=True)
+                rows.append((gradient.double().numpy()[:, None, :, :2] * directions[part]).sum(axis=(2, 3)))
+            sizes = told.detach().double().numpy()
+            columns = np.stack(rows, axis=1)
+            columns[:, :2] /= np.maximum(sizes[:, :2], LEAST_SIZE)[:, :, None]
+            found.append(columns)
+        return np.concatenate(found)
+
+    return derivatives
 
 
 class Timed:
@@ -118,27 +138,39 @@ def drawn(count: int, seed: int = 0) -> float:
 def timed(count: int) -> tuple[float, float, float]:
     """Seconds in all, in the denoiser, and in the labelers."""
     spent: dict[str, list[float]] = {"denoiser": [], "labelers": []}
-    own = {name: getattr(engines, name) for name in ("NetworkDenoiser", "LabelNetwork", "LabelGradient")}
-    try:
-        for name, made in own.items():
-            into = spent["denoiser" if name == "NetworkDenoiser" else "labelers"]
-            setattr(engines, name, lambda *a, made=made, into=into, **k: Timed(made(*a, **k), into))
+
+    def watched(name: str) -> Callable[..., Timed]:
+        made = getattr(engines, name)
+        into = spent["denoiser" if name == "NetworkDenoiser" else "labelers"]
+        return lambda *given, **named: Timed(made(*given, **named), into)
+
+    with replaced(**{name: watched(name) for name in ("NetworkDenoiser", "LabelNetwork", "LabelGradient")}):
         total = drawn(count)
-    finally:
-        for name, made in own.items():
-            setattr(engines, name, made)
     return total, sum(spent["denoiser"]), sum(spent["labelers"])
 
 
 def by_torch(count: int) -> float:
-    own = {name: getattr(engines, name) for name in ("NetworkDenoiser", "LabelNetwork", "LabelGradient")}
-    try:
-        engines.NetworkDenoiser = TorchDenoiser  # type: ignore[misc, assignment]
-        engines.LabelNetwork = engines.LabelGradient = TorchLabels  # type: ignore[misc, assignment]
+    """Seconds to draw so many guided strands with torch's networks."""
+    with replaced(
+        NetworkDenoiser=TorchDenoiser,
+        LabelNetwork=TorchLabels,
+        LabelGradient=TorchLabels,
+        by_gradients=torch_derivatives,
+    ):
         return drawn(count)
+
+
+@contextmanager
+def replaced(**others: Any) -> Iterator[None]:
+    """The engine made of other parts."""
+    own = {name: getattr(engines, name) for name in others}
+    try:
+        for name, other in others.items():
+            setattr(engines, name, other)
+        yield
     finally:
-        for name, made in own.items():
-            setattr(engines, name, made)
+        for name, part in own.items():
+            setattr(engines, name, part)
 
 
 def peak_memory(count: int) -> float:
@@ -157,7 +189,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.generate:
         hair = hair_type("VI").parameters()
-        texture = network_texture(hair.radius, hair.wavelength, hair.twist, CONDITIONED, rounds=0)
+        texture = network_texture(hair.radius, hair.wavelength, hair.twist, BOTH, rounds=0)
         groom = generate(texture, options.generate, LENGTH, steps=FEW_STEPS)
         print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9, len(groom.points))
         return 0
@@ -172,7 +204,7 @@ def main(arguments: list[str] | None = None) -> int:
         f"labelers {labelers / total:.0%}"
     )
     rates = ", ".join(f"{count}: {count / drawn(count):.1f}" for count in AT_ONCE)
-    print(f"strands a second by how many are drawn at once: {rates}")
+    print(f"strands a second by how many are drawn at once, loading the models included: {rates}")
     turns = [(drawn(options.beside), by_torch(options.beside)) for _ in range(2)]
     ours, theirs = (min(column) for column in zip(*turns, strict=True))
     ratio = ours / theirs

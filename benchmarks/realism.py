@@ -10,7 +10,8 @@ axis are spread), 1-NNA (50 % where the two cannot be told apart; bounds 45 to 6
 from the nearest (MMD), the share of real strands that are nearest to some (COV), how far strands of the set are from
 each other in the median, over that of real ones, and Wasserstein-1 distances of curvature, torsion's size and distance
 from the axis, all strands' together, beside those of the floor (bound 1.5 times). Real and generated strands are
-measured alike, from points. Exits 1 where a method given by --judged fails a bound.
+measured alike, from points; numbers are taken by their word: nothing is corrected, and strands are not settled, as
+``generate`` would. Exits 1 where a method given by --judged fails a bound.
 """
 
 from __future__ import annotations
@@ -30,12 +31,15 @@ from detangled.asked import DEFAULT_METHOD, LIBRARY, METHODS
 from detangled.from_library import library_texture
 from detangled.from_network import network_texture
 from detangled.generation import generate
+from detangled.geometry.arc import arc_lengths
 from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import curve_counts, curves, signals
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import to_canonical
 from detangled.grooming.placing import resample
 from detangled.library import load_library
+from detangled.models import LIBRARY as LIBRARY_MODEL
+from detangled.models import verified
 from detangled.texture import TWISTS_PER_CM, arc_of_a_turn
 from detangled_training.dataset import TEST, read_dataset
 
@@ -83,6 +87,8 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--judged", choices=METHODS, default=DEFAULT_METHOD)
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
+    if options.judged not in options.methods:
+        parser.error(f"--methods must name the one that is judged, {options.judged}")
     first, second, wanted = real_strands(options.data, options.strands, options.seed)
     floor = distances(first, second)
     print(f"{options.strands} strands a set; real strands beside other real ones, and beside generated ones")
@@ -122,6 +128,8 @@ def row(
 def real_strands(folder: Path, count: int, seed: int) -> tuple[Measured, Measured, Wanted]:
     """Two sets of held-out strands, and the numbers of the second's."""
     data = read_dataset(folder, TEST)
+    if data.origin["seed"] == verified(LIBRARY_MODEL, None)[0]["training"]["seed"]:
+        raise SystemExit(f"{folder}: has the seed of the library, whose strands it holds: make it with another")
     labels = data.labels
     turns = labels["turns"]
     usable = ~labels["read"] & (turns >= FEWEST_TURNS) & (turns <= MOST_TURNS)
@@ -163,9 +171,7 @@ def generated(method: str, wanted: Wanted, seed: int) -> Measured:
 
 def measured(points: NDArray[np.float64], offsets: NDArray[np.int64], turn: NDArray[np.float64]) -> Measured:
     """Strands as any groom's are measured: with even points, about the centreline that is found."""
-    arcs = np.add.reduceat(
-        np.append(np.linalg.norm(np.diff(points, axis=0), axis=1), 0.0) * inner(offsets), offsets[:-1]
-    )
+    arcs = arc_lengths(points, offsets)
     fine = offsets_of(np.maximum(np.ceil(POINTS_PER_TURN * arcs / turn).astype(np.int64) + 1, 8))
     even = resample(points, offsets, fine)
     canonical = to_canonical(even, centerlines(even, fine)[0], fine)
@@ -176,13 +182,6 @@ def measured(points: NDArray[np.float64], offsets: NDArray[np.int64], turn: NDAr
     away = np.stack([np.interp(at, np.linspace(0.0, 1.0, b - a), distance[a:b]) for a, b in pairwise(fine)])
     end = round(ENDS * CELLS)
     return Measured(np.stack([kappa, np.abs(tau), away], axis=1)[:, :, end:-end])
-
-
-def inner(offsets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """1 for each point that another of its strand follows, else 0, (P,)."""
-    out = np.ones(offsets[-1])
-    out[offsets[1:] - 1] = 0.0
-    return out
 
 
 def compared(real: Measured, other: Measured) -> tuple[float, float, float, float]:

@@ -2,9 +2,10 @@
 
 python benchmarks/sweeps.py [OUT.png] [--method library] [--strands 24] [--seed 0]
 
-From type VI, radius, wavelength and twist prevalence are each swept over what hair has. Printed is what labelers read
-in the strands, in the median, of each of the three numbers; the number that is swept must rise with what is asked. The
-picture has a row for each. Exits 1 where a swept number does not rise.
+From type VI, radius, wavelength and twist prevalence are each swept over what hair has. Printed is what the labelers in
+benchmarks/judge, which had no part in the making, read in the strands, in the median, of each of the three numbers; the
+number that is swept must rise with what is asked. The picture has a row for each. Exits 1 where a swept number does not
+rise.
 """
 
 from __future__ import annotations
@@ -21,6 +22,7 @@ from detangled.asked import DEFAULT_METHOD, METHODS, asked, asked_texture
 from detangled.generation import generate, side_by_side
 from detangled.groom import Groom
 from detangled.labeling import label
+from detangled.models import LABELER, load_labeler
 from detangled.texture import Profile, hair_type
 from detangled.view.picture import render, save
 
@@ -29,6 +31,7 @@ SWEPT: dict[str, tuple[float, ...]] = {
     "wavelength": (0.6, 0.9, 1.25, 1.8, 2.6),
     "twist": (0.0, 0.2, 0.4, 0.6, 0.8),
 }
+JUDGE = Path(__file__).parent / "judge"
 LENGTH = 24.0  # [cm]
 SHOWN = 4  # strands of a panel
 SIZE = (360, 440)  # [px] of a panel
@@ -42,6 +45,7 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--strands", type=int, default=24, help="that are read, of each texture")
     parser.add_argument("--seed", type=int, default=0)
     options = parser.parse_args(arguments)
+    judge = load_labeler(LABELER, JUDGE)
     rows = []
     ok = True
     for name, values in SWEPT.items():
@@ -49,13 +53,13 @@ def main(arguments: list[str] | None = None) -> int:
         read = []
         for value in values:
             groom = strands(name, value, options.method, options.strands, options.seed)
-            found = label(groom)
+            found = label(groom, model=judge)
             read.append([float(np.nanmedian(numbers)) for numbers in (found.radius, found.wavelength, found.twist)])
             print(
                 f"{name} {value:4.2f}: read "
                 + ", ".join(f"{one} {x:.2f}" for one, x in zip(SWEPT, read[-1], strict=True))
             )
-            panels.append(middle(side_by_side(groom.select(np.arange(SHOWN)))))
+            panels.append(middle(side_by_side(groom.select(np.arange(min(SHOWN, options.strands))))))
         column = [numbers[list(SWEPT).index(name)] for numbers in read]
         rises = bool((np.diff(column) > 0.0).all())
         print(f"{name} {'rises' if rises else 'does not rise: FAIL'}", flush=True)

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+from dataclasses import replace
 from pathlib import Path
 from typing import Any
 
@@ -73,6 +74,8 @@ def test_samples_are_what_the_data_sets_hold_but_for_strands_as_read(strands: Pa
     np.testing.assert_allclose(np.exp(samples.asked[:, 3]), samples.signals[:, :, 2].mean(axis=1), rtol=1e-5)
     assert ((samples.asked[:, 2] >= 0.0) & (samples.asked[:, 2] <= 1.0)).all()
     assert not samples.asked[:, 4].any()
+    hung = replace(data, labels={**data.labels, "variant": np.arange(len(kept)) % 3 - 1})
+    np.testing.assert_array_equal(Samples.of([hung]).asked[:, 4], (hung.labels["variant"] >= 0)[kept])
     assert len(Samples.of([data, data])) == 2 * len(samples)
     with pytest.raises(ReadError, match="different cells"):
         Samples.of([data, read_dataset(strands)])

@@ -29,7 +29,7 @@ from detangled.models import LABELER, LABELER_GRADIENT, load_labeler
 from detangled.texture import arc_of_a_turn
 from tiny_labeler import write_tiny
 
-ALL = np.ones(LABELS)
+ALL = np.ones(LABELS, dtype=np.bool_)
 
 
 @pytest.fixture(scope="module")
@@ -77,12 +77,12 @@ def test_signals_are_moved_until_they_read_as_wanted(labeler: LabelNetwork, grad
     np.testing.assert_array_equal(values[:, :, 2], 12.0)
 
 
-def test_what_is_not_wanted_or_not_trusted_is_left(labeler: LabelNetwork, gradient: LabelGradient) -> None:
+def test_what_is_not_wanted_or_not_counted_is_left(labeler: LabelNetwork, gradient: LabelGradient) -> None:
     values = coils(3)
     nothing = of((np.nan, np.nan, np.nan), labeler, gradient).begin()
     np.testing.assert_array_equal(nothing(values, ALL), values)
     everything = of((0.4, 1.5, 0.5), labeler, gradient).begin()
-    np.testing.assert_array_equal(everything(values, np.zeros(LABELS)), values)
+    np.testing.assert_array_equal(everything(values, ~ALL), values)
     # The radius alone: of what reads as far off, it is what gets nearer.
     radius = of((0.4, np.nan, np.nan), labeler, gradient).begin()
     moved = radius(values, ALL)

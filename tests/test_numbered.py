@@ -10,8 +10,11 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from detangled import engines
+from detangled.asked import METHODS as ASKING
 from detangled.asked import asked, asked_texture
 from detangled.errors import ModelError, TextureError
+from detangled.fitted import METHODS as FITTING
 from detangled.from_network import LONGEST_WINDOW, network_texture
 from detangled.generation import generate
 from detangled.geometry.arc import arc_lengths
@@ -22,7 +25,9 @@ from detangled.labeling import CELLS, label
 from detangled.models import FOLDER_VARIABLE
 from detangled.numbered import BOTH, CONDITIONED, GUIDED, METHODS, NumberedTexture
 from detangled.retexturing import Options, retexture
+from detangled.settling import BY_LABELS, Settling
 from detangled.texture import Profile, hair_type
+from detangled_cli import targets
 from detangled_cli.main import detangled as command
 
 RADIUS, WAVELENGTH, TWIST = 0.42, 1.25, 0.4  # type VI
@@ -60,7 +65,7 @@ def test_more_of_a_number_makes_more_of_it(name: str, wider: float) -> None:
     texture = plain(CONDITIONED)
     more = replace(texture, **{f"asked_{name}": wider * getattr(texture, f"asked_{name}")})
     sizes = [float(np.median(getattr(label(generate(one, 16, 24.0)), name))) for one in (texture, more)]
-    assert 0.6 * wider < sizes[1] / sizes[0] < 1.5 * wider
+    assert 1.0 + 0.5 * (wider - 1.0) < sizes[1] / sizes[0] < 1.5 * wider
 
 
 def test_more_twists_are_told_and_made() -> None:
@@ -72,15 +77,19 @@ def test_more_twists_are_told_and_made() -> None:
 
 
 @pytest.mark.parametrize("method", [GUIDED, BOTH])
-def test_guided_strands_read_nearer_to_what_is_asked(method: str) -> None:
-    errors = []
-    # What the same noise becomes without guidance: of a network told nothing, any hair.
-    for one in (method, CONDITIONED):
-        found = label(generate(plain(one), 16, 24.0))
-        errors.append(
-            float(np.median(np.abs(np.log(found.radius / RADIUS)) + np.abs(np.log(found.wavelength / WAVELENGTH))))
-        )
-    assert errors[0] < (0.35 if method == GUIDED else 0.9 * errors[1])
+def test_guided_strands_read_nearer_to_what_is_asked(method: str, monkeypatch: pytest.MonkeyPatch) -> None:
+    texture = plain(method)
+    guided = off(generate(texture, 16, 24.0))
+    # The same noise, and the network told the same, but nothing guided.
+    monkeypatch.setattr(engines, "_counted", lambda method, step: np.zeros(3, dtype=np.bool_))
+    drawn = off(generate(texture, 16, 24.0))
+    assert guided < (0.5 if method == GUIDED else 0.9) * drawn
+
+
+def off(groom: Groom) -> float:
+    """How far strands read off the numbers asked for, in the median."""
+    found = label(groom)
+    return float(np.median(np.abs(np.log(found.radius / RADIUS)) + np.abs(np.log(found.wavelength / WAVELENGTH))))
 
 
 def test_finite_differences_guide_to_the_same_strands() -> None:
@@ -91,7 +100,7 @@ def test_finite_differences_guide_to_the_same_strands() -> None:
 
 @pytest.mark.parametrize("method", METHODS)
 def test_a_strand_is_the_same_in_any_company_and_on_any_number_of_threads(method: str) -> None:
-    texture = plain(method)
+    texture = plain(method, settling=Settling(BY_LABELS, RADIUS, WAVELENGTH))
     set_threads(1)
     whole = generate(texture, len(LENGTHS), LENGTHS, seed=5)
     set_threads(2)
@@ -134,6 +143,11 @@ def test_a_groom_is_retextured_and_tapers(told: NumberedTexture) -> None:
     assert upper > 1.4 * lower
 
 
+def test_the_command_offers_the_methods_that_there_are() -> None:
+    assert targets.ASKING == ASKING
+    assert targets.FITTING == FITTING
+
+
 def test_an_unknown_method_is_told() -> None:
     with pytest.raises(TextureError, match="no method 'magic': it is one of library, conditioned, guided, both"):
         asked_texture(asked(hair_type("4A")), "magic")
@@ -152,8 +166,8 @@ def test_missing_models_are_told(tmp_path: Path, monkeypatch: pytest.MonkeyPatch
         (("--target", "a.obj", "--method", "guided"), "go with a type or numbers"),
         (("--target", "a.obj", "--finite-differences"), "go with a type or numbers"),
         (("--type", "4A", "--method", "patches"), "go with --target"),
-        (("--type", "4A", "--finite-differences"), "go with --method guided or both"),
-        (("--type", "4A", "--method", "conditioned", "--finite-differences"), "go with --method guided or both"),
+        (("--type", "4A", "--finite-differences"), "goes with --method guided or both"),
+        (("--type", "4A", "--method", "conditioned", "--finite-differences"), "goes with --method guided or both"),
     ],
 )
 def test_what_does_not_go_together_is_told_in_one_line(tmp_path: Path, given: tuple[str, ...], words: str) -> None:

@@ -18,7 +18,7 @@ if TYPE_CHECKING:
     from detangled.groom import Attribute, Groom
 
 
-FITTING = ("patches", "finetune")  # the first by default, of either
+FITTING = ("patches", "finetune")  # of either the first is the default
 ASKING = ("library", "conditioned", "guided", "both")
 
 
@@ -60,9 +60,7 @@ def texture_options(command: Command) -> Command:
                 help=f"{_HOW_TO_FIT} Of a type or numbers: library learns from strands like it; conditioned tells a "
                 f"network the numbers, guided guides it to them, both does both. [default: {ASKING[0]}]",
             ),
-            click.option(
-                "--finite-differences", is_flag=True, help="Guide without the labelers' gradients: the same, slower."
-            ),
+            click.option("--finite-differences", is_flag=True, help="Guide without the labelers' exported gradients."),
             click.option(
                 "--target-unit",
                 type=UNIT,
@@ -101,7 +99,7 @@ def wanted_texture(
     if method in FITTING or target_unit is not None:
         raise click.UsageError(f"--method {' and '.join(FITTING)} and --target-unit go with --target")
     if finite_differences and method not in ("guided", "both"):
-        raise click.UsageError("--finite-differences go with --method guided or both")
+        raise click.UsageError("--finite-differences goes with --method guided or both")
     from detangled.asked import asked, asked_texture
     from detangled.texture import hair_type, parse_profile
 

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import warnings
 from dataclasses import dataclass, replace
 
 import numpy as np
@@ -108,11 +109,14 @@ def asked_texture(
     if method not in METHODS:
         raise TextureError(f"there is no method {method!r}: it is one of {', '.join(METHODS)}")
     radius, wavelength = (float(np.exp(np.log(p.values).mean())) for p in (what.radius, what.wavelength))
+    # The network was shown hair like the library's.
+    library = library or load_library()
+    if not library.has_hair_like(radius, wavelength, what.twist):
+        warnings.warn(f"{what} is unlike the hair that was simulated: {library.range}", stacklevel=2)
     texture: Texture
     if method == LIBRARY:
         texture = library_texture(radius, wavelength, what.twist, library)
     else:
-        (library or load_library()).nearest(radius, wavelength, what.twist)  # warns: the network was shown such hair
         texture = network_texture(radius, wavelength, what.twist, method, finite_differences)
     if what.radius.constant and what.wavelength.constant:
         return texture

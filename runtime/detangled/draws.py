@@ -35,11 +35,8 @@ class Numbers(NamedTuple):
     def sizes(self, twist: float) -> NDArray[np.float64]:
         """Radius and wavelength of hair of this prevalence of twists: by winding as far as that is to be trusted."""
         trust = trust_in_winding(twist)
-        if not np.isfinite(self.labelled).all():
-            return self.wound
-        if not np.isfinite(self.wound).all():
-            return self.labelled
-        return np.exp(trust * np.log(self.wound) + (1.0 - trust) * np.log(self.labelled))
+        parts = [share * np.log(sizes) for share, sizes in ((trust, self.wound), (1.0 - trust, self.labelled)) if share]
+        return np.exp(np.sum(parts, axis=0))
 
 
 def numbers_drawn(texture: Texture) -> Numbers:
@@ -61,7 +58,7 @@ def _numbers(strands: Groom) -> Numbers:
 def settled(texture: AnyTexture, radius: float, wavelength: float, twist: float) -> AnyTexture:
     """A texture whose strands are each resized until they read as hair of these numbers [cm], T_f, does.
 
-    Where most of its strands cannot be read it stays as it is.
+    Where most of its strands cannot be read they are left as they are drawn.
     """
     by = BY_HELIX if trust_in_winding(twist) > 0.5 else BY_LABELS
     for seed in range(SEED, SEED + ROUNDS):

@@ -144,7 +144,7 @@ class NumberedEngine:
             [*(np.full(len(arcs), number) for number in told), np.log(arcs), np.full(len(arcs), texture.asked_hung)], 1
         )
         if texture.method == GUIDED:
-            condition[:] = np.nan
+            condition[:, :3] = np.nan  # length and hanging are none of the texture's numbers
         steered = _steered(texture, cells)
         guided = None if self._guidance is None else self._guidance.begin()
 
@@ -153,9 +153,9 @@ class NumberedEngine:
 
         def guide(channels: NDArray[np.float64], step: SamplerStep) -> NDArray[np.float64]:
             values = with_arcs(whitening.restore(channels), arcs)
-            trust = _trust(texture.method, step)
-            if guided is not None and trust.any():
-                values = guided(values, trust)
+            counted = _counted(texture.method, step)
+            if guided is not None and counted.any():
+                values = guided(values, counted)
             if steered and step.sigma < STEER_BELOW * step.alpha:
                 values = steer_strands(values, texture.turn)
             return whitening.whiten(values)
@@ -179,11 +179,11 @@ def _guidance(texture: NumberedTexture) -> Guidance:
     return Guidance(wanted, texture.turn, labeler, derivatives)
 
 
-def _trust(method: str, step: SamplerStep) -> NDArray[np.float64]:
-    """How much radius, wavelength and twist count at a step, (3,)."""
+def _counted(method: str, step: SamplerStep) -> NDArray[np.bool_]:
+    """Which of radius, wavelength and twist are guided at a step, (3,)."""
     noise = step.sigma / step.alpha
-    sizes = float(method == GUIDED or noise < GUIDE_SIZES_BELOW)
-    return np.array([sizes, sizes, float(noise < GUIDE_TWIST_BELOW)])
+    sizes = method == GUIDED or noise < GUIDE_SIZES_BELOW
+    return np.array([sizes, sizes, noise < GUIDE_TWIST_BELOW])
 
 
 def _noise(generators: list[np.random.Generator], cells: int) -> NDArray[np.float64]:
@@ -207,6 +207,7 @@ def _fitted_guide(texture: FittedTexture, cells: int, arcs: NDArray[np.float64])
 def _steered(texture: Texture, cells: int) -> bool:
     """Whether strands on a grid are long enough to be steered.
 
-    By the grid, not the arc lengths of a batch: a strand must not depend on its neighbours.
+    By the grid, not the arc lengths of a batch: a strand must not depend on its neighbours. Of how many turns a strand
+    is on the smallest grid, that does not tell.
     """
     return cells * texture.cell_width > FEWEST_TURNS_TO_STEER * texture.turn and cells > texture.fewest_cells

@@ -84,7 +84,7 @@ def save_texture(texture: FittedTexture, path: str | Path) -> None:
         "stiff": texture.stiff,
         "waves": texture.waves,
         "shape": texture.shape and asdict(texture.shape),
-        "settling": texture.settling and texture.settling._asdict(),
+        "settling": texture.settling and asdict(texture.settling),
     }
     arrays = {
         "manifest": np.array([json.dumps(manifest, sort_keys=True)]),

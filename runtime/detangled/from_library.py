@@ -28,7 +28,7 @@ def library_texture(
     """The texture of these numbers [cm], T_f.
 
     rounds: how often its examples are resized until strands drawn of them are as asked; with none, strands are not
-    settled either. Warns where the library holds no hair like it. Raises ModelError where it is missing or damaged.
+    settled either. Raises ModelError where the library is missing or damaged.
     """
     library = library or load_library()
     chosen = library.nearest(radius, wavelength, twist)

@@ -17,12 +17,13 @@ from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.lengths import Length, canonical_strands, resized
 from detangled.grooming.placing import cut, resample
-from detangled.retexturing import DROPPED_TURNS, arcs_to_make, turns_about_axis
+from detangled.retexturing import DROPPED_TURNS, arcs_to_make, drawn_arcs, turns_about_axis
+from detangled.settling import MOST_RESIZED
 from detangled.synthesis import synthesise
 
 CHUNK = 512  # strands made at once
 LENGTHS = (0.1, 2000.0)  # [cm]
-SPARE, SPARE_TO_SETTLE = 1.02, 1.12  # of the arc, to cut from
+SPARE = 1.02  # of the arc, to cut from
 APART, LEAST_RADIUS = 4.0, 0.05  # radii between the axes of neighbours, each at least so many cm
 IN_ROW = 16
 
@@ -47,8 +48,9 @@ def generate(
     if not ((given >= LENGTHS[0]) & (given <= LENGTHS[1])).all():
         raise TextureError(f"generate strands of {LENGTHS[0]:g} to {LENGTHS[1]:g} cm")
     lengths = np.array(np.broadcast_to(given, (count,)))
-    spare = SPARE if texture.settling is None else SPARE_TO_SETTLE
+    spare = SPARE if texture.settling is None else SPARE * MOST_RESIZED
     arcs, short = arcs_to_make(texture, lengths * spare, Length.STRAND)
+    read = drawn_arcs(texture, lengths, Length.STRAND)
     strands: list[NDArray[np.float64]] = []
     for first in range(0, count, CHUNK):
         part = slice(first, min(first + CHUNK, count))
@@ -57,7 +59,7 @@ def generate(
         dropped = np.where(short[part], DROPPED_TURNS * texture.turn, 0.0)
         fine, offsets = canonical_strands(values, starts, short[part] & texture.stiff, dropped, texture.wave_turn)
         if texture.settling is not None:
-            fine = resized(fine, offsets, texture.settling.sizes(fine, offsets, lengths[part]))
+            fine = resized(fine, offsets, texture.settling.sizes(fine, offsets, read[part]))
         if texture.shape is not None:
             fine = texture.shape.given_to(fine, offsets, lengths[part], False)
         fine, offsets = cut(fine, offsets, arc_positions(fine, offsets), lengths[part])

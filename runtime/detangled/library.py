@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import io
-import warnings
 from dataclasses import dataclass
 from functools import cached_property
 from pathlib import Path
@@ -53,24 +52,31 @@ class Library:
         """Arc length of each strand [cm], (S,)."""
         return arc_lengths(self.points, self.offsets)
 
-    def nearest(self, radius: float, wavelength: float, twist: float) -> NDArray[np.int64]:
-        """The strands (CHOSEN,) most like hair of these numbers [cm], T_f. Warns where they are not like it."""
+    def away(self, radius: float, wavelength: float, twist: float) -> NDArray[np.float64]:
+        """How far strands are from hair of these numbers [cm], T_f: in slope, size and twists, (3, S)."""
         slope = np.log(self.wavelength / self.radius) - np.log(wavelength / radius)
         # As large as asked, a strand has other twists a length.
         ratio = arc_of_a_turn(radius, wavelength) / arc_of_a_turn(self.radius, self.wavelength)
         twists = self.twists / (TWISTS_PER_CM * self.arcs * ratio) - twist
-        away = np.stack([slope / SLOPE_AWAY, np.log(ratio) / SIZE_AWAY, twists / TWIST_AWAY])
-        chosen = np.sort(np.argsort((away**2).sum(axis=0), kind="stable")[:CHOSEN])
-        if (np.median(np.abs(away[:, chosen]), axis=1) > FAR).any():
-            ranges = (np.percentile(x, (1, 99)) for x in (self.radius, self.wavelength / self.radius))
-            radii, slopes = (f"{low:.2g} to {high:.2g}" for low, high in ranges)
-            warnings.warn(
-                f"radius {radius:.2g} cm, wavelength {wavelength:.2g} cm, twist {twist:.2g} is unlike the hair that "
-                f"was simulated, and is made of the nearest there is: radii of {radii} cm, wavelengths of {slopes} "
-                "radii, with fewer twists the larger the curls",
-                stacklevel=2,
-            )
-        return chosen
+        return np.stack([slope / SLOPE_AWAY, np.log(ratio) / SIZE_AWAY, twists / TWIST_AWAY])
+
+    def nearest(self, radius: float, wavelength: float, twist: float) -> NDArray[np.int64]:
+        """The strands (CHOSEN,) most like hair of these numbers [cm], T_f."""
+        away = (self.away(radius, wavelength, twist) ** 2).sum(axis=0)
+        return np.sort(np.argsort(away, kind="stable")[:CHOSEN])
+
+    def has_hair_like(self, radius: float, wavelength: float, twist: float) -> bool:
+        """Whether the strands most like hair of these numbers [cm], T_f, are like it."""
+        chosen = self.nearest(radius, wavelength, twist)
+        away = self.away(radius, wavelength, twist)[:, chosen]
+        return bool((np.median(np.abs(away), axis=1) <= FAR).all())
+
+    @property
+    def range(self) -> str:
+        """What hair there is, in words."""
+        ranges = (np.percentile(x, (1, 99)) for x in (self.radius, self.wavelength / self.radius))
+        radii, slopes = (f"{low:.2g} to {high:.2g}" for low, high in ranges)
+        return f"radii of {radii} cm, wavelengths of {slopes} radii, with fewer twists the larger the curls"
 
     def select(self, chosen: NDArray[np.int64]) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
         """Points and offsets of some strands."""

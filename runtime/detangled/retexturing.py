@@ -79,7 +79,7 @@ def retexture(
     if options.length is Length.STRAND:
         goals = arc_lengths(guides.groom.points, guides.groom.offsets)
     arcs, short = arcs_to_make(texture, goals, options.length)
-    kept = goals * texture.arc_per_axis if options.length is Length.GUIDE else goals
+    read = drawn_arcs(texture, goals, options.length)
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
         roots=guides.canonical()[guides.groom.offsets[:-1]],
@@ -106,7 +106,7 @@ def retexture(
         here = seats.select(members)
         if texture.settling is not None:
             drawn = canonical_of(values, starts, here)
-            here = replace(here, sizes=texture.settling.sizes(*drawn, kept[members]))
+            here = replace(here, sizes=texture.settling.sizes(*drawn, read[members]))
         made = strands_on_guides(values, starts, here, options.length)
         reached[members] = made.reached
         needed = _points_needed(texture, made.points, made.offsets)
@@ -140,9 +140,7 @@ def arcs_to_make(
     texture: Texture, goals: NDArray[np.float64], length: Length
 ) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
     """Arc lengths (S,) [cm] to ask the sampler for, and which strands will be cut to length instead of scaled."""
-    arcs = goals * texture.arc_per_axis if length is Length.GUIDE else goals.copy()
-    if texture.shape is not None:
-        arcs *= texture.shape.drawn_depth if length is Length.GUIDE else texture.shape.drawn_arc
+    arcs = drawn_arcs(texture, goals, length)
     least = FEWEST_TURNS * texture.turn
     if texture.waves:
         # Ends without an axis, of every strand.
@@ -150,6 +148,15 @@ def arcs_to_make(
     short = (arcs < least) & (texture.median_arc >= least)
     arcs[short] = CUT_MARGIN * least + DROPPED_TURNS * texture.turn
     return arcs, short
+
+
+def drawn_arcs(texture: Texture, goals: NDArray[np.float64], length: Length) -> NDArray[np.float64]:
+    """Arc lengths (S,) [cm] that strands of these lengths have as they are drawn: before they are given a shape."""
+    by_guide = length is Length.GUIDE
+    arcs = goals * texture.arc_per_axis if by_guide else goals.copy()
+    if texture.shape is not None:
+        arcs *= texture.shape.drawn_depth if by_guide else texture.shape.drawn_arc
+    return arcs
 
 
 def _warnings(per_turn: NDArray[np.float64], reached: NDArray[np.float64], options: Options) -> list[str]:

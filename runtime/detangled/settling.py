@@ -10,29 +10,39 @@ it.
 
 from __future__ import annotations
 
-from typing import NamedTuple
+from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.geometry.signal import signals
-from detangled.groom import Groom
+from detangled.groom import Groom, offsets_of
 from detangled.grooming.placing import cut
 from detangled.labeling import CELLS, Reading, label
 
 BY_LABELS, BY_HELIX = "labels", "helix"
-MOST_RESIZED = 1.3  # one strand, beside the others of its texture: more was read wrongly
-ENDS = 20  # cells at either end, where axes are known least well
+MOST_RESIZED = 1.2  # one strand, beside the others of its texture; so much more hair is drawn, to cut from
+ENDS = 0.08  # of a strand at either end, where axes are known least well
+MOST_CELLS = 4096
 STEEPEST = 0.9999  # fall over arc
 
 
-class Settling(NamedTuple):
-    """What is to be read in each strand, BY_LABELS or BY_HELIX: radius and wavelength [cm]."""
+@dataclass(frozen=True)
+class Settling:
+    """What is to be read in each strand, BY_LABELS or BY_HELIX: radius and wavelength [cm].
+
+    Raises ValueError where they are not finite, or not positive, or ``by`` is another.
+    """
 
     by: str
     radius: float
     wavelength: float
+
+    def __post_init__(self) -> None:
+        if self.by not in (BY_LABELS, BY_HELIX) or not (0.0 < self.radius < np.inf and 0.0 < self.wavelength < np.inf):
+            raise ValueError(f"nothing to settle strands to: {self}")
 
     def sizes(
         self, points: NDArray[np.float64], offsets: NDArray[np.int64], lengths: NDArray[np.float64]
@@ -55,10 +65,11 @@ def sizes_read(strands: Groom, by: str) -> NDArray[np.float64]:
         labels = label(strands)
         read = labels.reading == Reading.READ
         return np.where(read[:, None], np.stack([labels.radius, labels.wavelength], axis=1), np.nan)
-    count = strands.strand_count
-    values = signals(strands.points, strands.offsets, CELLS * np.arange(count + 1)).reshape(count, CELLS, 3)
-    kappa, tau = (np.median(values[:, ENDS:-ENDS, channel], axis=1) for channel in (0, 1))
-    rate = np.maximum(np.hypot(kappa, tau), 1e-9)
+    starts = offsets_of(np.clip(np.diff(strands.offsets), CELLS, MOST_CELLS))
+    values = signals(strands.points, strands.offsets, starts)
+    inner = [slice(a + round(ENDS * (b - a)), b - round(ENDS * (b - a))) for a, b in pairwise(starts)]
+    medians = np.array([np.median(values[part, :2], axis=0) for part in inner])
+    rate = np.maximum(np.hypot(*medians.T), 1e-9)
     ends = strands.points[strands.offsets[1:] - 1, 2], strands.points[strands.offsets[:-1], 2]
     steepness = np.clip(np.abs(ends[0] - ends[1]) / arc_lengths(strands.points, strands.offsets), 0.0, STEEPEST)
     return np.stack([np.sqrt(1.0 - steepness**2) / rate, 2.0 * np.pi * steepness / rate], axis=1)

@@ -113,10 +113,11 @@ class Samples:
             twist = np.clip(labels["twists"] / (TWISTS_PER_CM * labels["length"]), 0.0, 1.0)
             sizes = [np.log(labels["radius"]), np.log(labels["wavelength"]), twist, np.log(lengths)]
             asked = np.stack([*sizes, labels["variant"] >= 0], axis=1)
-            right = one.signals.copy()
-            right[:, :, 1] *= labels["hand"][:, None]
             kept = ~labels["read"]
-            parts.append([array[kept].astype(np.float32, copy=False) for array in (right, asked, labels["position"])])
+            right = one.signals[kept]
+            right[:, :, 1] *= labels["hand"][kept, None]
+            others = (array[kept].astype(np.float32, copy=False) for array in (asked, labels["position"]))
+            parts.append([right, *others])
         return cls(*(np.concatenate(column) for column in zip(*parts, strict=True)))
 
     def select(self, chosen: NDArray[np.int64]) -> Samples:

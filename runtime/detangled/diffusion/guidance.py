@@ -17,6 +17,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.diffusion.denoiser import blended, windows
+from detangled.errors import ModelError
 from detangled.labeling import CELLS, LabelGradient, LabelNetwork
 
 LABELS, MODES = 3, 4
@@ -27,6 +28,7 @@ MOST = 0.3
 SURE = np.array([0.01, 0.01, 0.03])
 LEAST_SIZE = 1e-3  # [cm] of radius and wavelength, where they are read
 DIFFERENCE = 0.02  # of a mode's factor
+CHUNK = 256  # windows that are read at once: some tens of megabytes
 
 REFRESHED = 4  # calls after which derivatives are taken anew: they hardly change from step to step
 
@@ -60,33 +62,46 @@ class GuidedBatch:
         self._derivatives = np.empty((0, LABELS, MODES))
         self._calls = 0
 
-    def __call__(self, values: NDArray[np.float64], trust: NDArray[np.float64]) -> NDArray[np.float64]:
-        """Signals (B, L, 3) of kappa, tau, v, moved; ``trust``: (3,), 0 to 1, how much each label counts.
+    def __call__(self, values: NDArray[np.float64], counted: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """Signals (B, L, 3) of kappa, tau, v, moved; ``counted``: (3,), which labels are guided.
 
-        L must be CELLS or more: longer ones are read in windows.
+        L must be CELLS or more: longer ones are read in windows. Raises ModelError where labels are not finite.
         """
-        guidance = self._guidance
         strands, cells, _ = values.shape
         channels, starts = windows(values.transpose(0, 2, 1), CELLS)
         pieces = channels.transpose(0, 2, 1).copy()
         pieces[:, :, 2] *= CELLS / cells
-        directions = modes(pieces, guidance.turn)
         if self._calls % REFRESHED == 0:
-            self._derivatives = guidance.derivatives(pieces, directions)
+            self._derivatives = np.empty((len(pieces), LABELS, MODES))
+        moved = np.empty((len(pieces), 2, CELLS))
+        for first in range(0, len(pieces), CHUNK):
+            part = slice(first, first + CHUNK)
+            moved[part] = self._moved(pieces[part], part, counted & np.isfinite(self._guidance.wanted))
         self._calls += 1
-        counting = np.isfinite(guidance.wanted) & (trust > 0.0)
-        missing = np.where(counting, guidance.wanted - logarithmic(guidance.labeler(pieces)), 0.0)
-        derivatives = np.where(counting[:, None], self._derivatives, 0.0)
-        factors = damped_step(derivatives, missing, SURE / np.where(counting, trust, 1.0))
-        moved = (factors[:, :, None, None] * directions).sum(axis=1)
         out = values.copy()
-        out[:, :, :2] += blended(moved.transpose(0, 2, 1), starts, strands, cells).transpose(0, 2, 1)
+        out[:, :, :2] += blended(moved, starts, strands, cells).transpose(0, 2, 1)
         out[:, :, 0] = np.maximum(out[:, :, 0], 0.0)
         return out
 
+    def _moved(self, pieces: NDArray[np.float64], part: slice, counted: NDArray[np.bool_]) -> NDArray[np.float64]:
+        """By how much kappa and tau (N, 2, CELLS) of some windows (N, CELLS, 3) are moved."""
+        guidance = self._guidance
+        directions = modes(pieces, guidance.turn)
+        if self._calls % REFRESHED == 0:
+            self._derivatives[part] = guidance.derivatives(pieces, directions)
+        labels = logarithmic(guidance.labeler(pieces))
+        if not (np.isfinite(labels).all() and np.isfinite(self._derivatives[part]).all()):
+            raise ModelError(
+                "the labelers read numbers that are not finite: install detangled again, or export them anew"
+            )
+        missing = np.where(counted, guidance.wanted - labels, 0.0)
+        derivatives = np.where(counted[:, None], self._derivatives[part], 0.0)
+        factors = damped_step(derivatives, missing)
+        return (factors[:, :, None, None] * directions).sum(axis=1).transpose(0, 2, 1)
+
 
 def damped_step(
-    derivatives: NDArray[np.float64], missing: NDArray[np.float64], sure: NDArray[np.float64]
+    derivatives: NDArray[np.float64], missing: NDArray[np.float64], sure: NDArray[np.float64] = SURE
 ) -> NDArray[np.float64]:
     """Factors (N, MODES) that make up for what labels (N, 3) miss, by their derivatives (N, 3, MODES).
 
