@@ -90,7 +90,7 @@ def test_each_strand_reads_nearer_to_what_is_asked(coily: FittedTexture) -> None
     assert coily.settling.by == BY_LABELS
     settled, drawn = (np.median(off(texture, 2), axis=0) for texture in (coily, replace(coily, settling=None)))
     assert (settled < 0.6 * drawn).all()
-    assert (settled < 0.04).all()
+    assert (settled < 0.06).all()
 
 
 def test_waves_settle_by_the_helix_equations() -> None:

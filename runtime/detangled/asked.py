@@ -8,6 +8,7 @@ from dataclasses import dataclass, replace
 import numpy as np
 
 from detangled.base_texture import Texture
+from detangled.draws import trends
 from detangled.errors import TextureError
 from detangled.from_library import library_texture
 from detangled.from_network import network_texture
@@ -121,5 +122,6 @@ def asked_texture(
     if what.radius.constant and what.wavelength.constant:
         return texture
     at = (np.arange(KNOTS) + 0.5) / KNOTS
-    radii, wavelengths = what.radius(at), what.wavelength(at)
+    own = np.exp(np.outer(trends(texture), at - 0.5))  # what strands do of themselves is not to be done again
+    radii, wavelengths = what.radius(at) / own[0], what.wavelength(at) / own[1]
     return replace(texture, shape=Shape(radii.tolist(), wavelengths.tolist(), radius, wavelength))

@@ -71,6 +71,18 @@ def settled(texture: AnyTexture, radius: float, wavelength: float, twist: float)
     return texture
 
 
+def trends(texture: Texture) -> NDArray[np.float64]:
+    """How the logarithms of radius and wavelength change from root to tip of strands drawn of a texture, (2,).
+
+    Hair that hangs is narrower and longer drawn near its root. 0 where that cannot be told.
+    """
+    strands = _drawn(texture)
+    halves = [np.array_split(strands.strand(s), 2) for s in range(strands.strand_count)]
+    upper, lower = (winding(part.points, part.offsets) for part in map(Groom.from_strands, zip(*halves, strict=True)))
+    found = [2.0 * np.log(_middle(below) / _middle(above)) for above, below in zip(upper, lower, strict=True)]
+    return np.nan_to_num(found)
+
+
 def _middle(values: NDArray[np.float64], least: float = 1e-9) -> float:
     """The median of those that tell, NaN where these are fewer than half."""
     told = values[np.isfinite(values) & (values >= least)]
