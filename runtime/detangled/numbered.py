@@ -15,8 +15,7 @@ class NumberedTexture(Texture):
     """What new strands are like: numbers that the network is told, that its strands are guided to, or both.
 
     method: CONDITIONED, GUIDED or BOTH. asked_radius, asked_wavelength [cm], asked_twist (T_f): what is said to the
-    network and to guidance, so that strands come out with the texture's own. asked_hung: whether it is as hair hangs,
-    NaN for either.
+    network and to guidance, so that strands come out with the texture's own.
     finite_differences: whether guidance does without the labelers' exported gradients.
     """
 
@@ -24,5 +23,4 @@ class NumberedTexture(Texture):
     asked_radius: float
     asked_wavelength: float
     asked_twist: float
-    asked_hung: float = 1.0
     finite_differences: bool = False
