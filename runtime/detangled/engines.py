@@ -34,6 +34,7 @@ FEWEST_TURNS_TO_STEER = 12.0
 # Sizes are guided from the first step on where the network is not told them, else once they show; twists, which are
 # sudden, show late. All sigma / alpha.
 GUIDE_SIZES_BELOW, GUIDE_TWIST_BELOW = 1.0, 0.5
+HUNG = 1.0  # the network is asked for hair as it hangs
 
 
 class Engine(Protocol):
@@ -140,9 +141,8 @@ class NumberedEngine:
     ) -> NDArray[np.float64]:
         texture, whitening = self._texture, self._model.whitening
         told = np.log(texture.asked_radius), np.log(texture.asked_wavelength), texture.asked_twist
-        condition = np.stack(
-            [*(np.full(len(arcs), number) for number in told), np.log(arcs), np.full(len(arcs), texture.asked_hung)], 1
-        )
+        every = np.ones(len(arcs))
+        condition = np.stack([*(number * every for number in told), np.log(arcs), HUNG * every], axis=1)
         if texture.method == GUIDED:
             condition[:, :3] = np.nan  # length and hanging are none of the texture's numbers
         steered = _steered(texture, cells)
