@@ -10,7 +10,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from detangled import engines
+from detangled import draws, engines
 from detangled.asked import METHODS as ASKING
 from detangled.asked import asked, asked_texture
 from detangled.errors import ModelError, TextureError
@@ -26,12 +26,21 @@ from detangled.models import FOLDER_VARIABLE
 from detangled.numbered import BOTH, CONDITIONED, GUIDED, METHODS, NumberedTexture
 from detangled.retexturing import Options, retexture
 from detangled.settling import BY_LABELS, Settling
-from detangled.texture import Profile, hair_type
+from detangled.shape import Shape
+from detangled.texture import hair_type
 from detangled_cli import targets
 from detangled_cli.main import detangled as command
 
 RADIUS, WAVELENGTH, TWIST = 0.42, 1.25, 0.4  # type VI
-LENGTHS = np.array([18.0, 31.0, 9.0, 24.0, 18.0, 27.0])
+LENGTHS = np.array([18.0, 60.0, 9.0, 18.0])
+
+
+@pytest.fixture(autouse=True, scope="module")
+def few_drawn() -> Iterator[None]:
+    """A few strands say well enough how far off a texture is."""
+    with pytest.MonkeyPatch.context() as patch:
+        patch.setattr(draws, "DRAWN", 8)
+        yield
 
 
 @pytest.fixture(autouse=True)
@@ -94,7 +103,9 @@ def off(groom: Groom) -> float:
 
 
 def test_finite_differences_guide_to_the_same_strands() -> None:
-    strands = [generate(plain(BOTH, finite_differences=finite), 3, 20.0, seed=4).points for finite in (False, True)]
+    strands = [
+        generate(plain(BOTH, finite_differences=finite), 3, 20.0, seed=4, steps=8).points for finite in (False, True)
+    ]
     away = np.linalg.norm(strands[0] - strands[1], axis=1)
     assert 0.0 < np.median(away) < 0.5 * RADIUS
 
@@ -103,12 +114,12 @@ def test_finite_differences_guide_to_the_same_strands() -> None:
 def test_a_strand_is_the_same_in_any_company_and_on_any_number_of_threads(method: str) -> None:
     texture = plain(method, settling=Settling(BY_LABELS, RADIUS, WAVELENGTH))
     set_threads(1)
-    whole = generate(texture, len(LENGTHS), LENGTHS, seed=5)
+    whole = generate(texture, len(LENGTHS), LENGTHS, seed=5, steps=3)
     set_threads(2)
-    again = generate(texture, 2, LENGTHS[:2], seed=5)
+    again = generate(texture, 2, LENGTHS[:2], seed=5, steps=3)
     for s in range(2):
         np.testing.assert_array_equal(again.strand(s), whole.strand(s))
-    assert np.abs(whole.strand(0) - whole.strand(4)).max() > 0.1
+    assert np.abs(whole.strand(0) - whole.strand(3)).max() > 0.1
 
 
 def test_strands_come_with_both_hands(told: NumberedTexture) -> None:
@@ -137,7 +148,7 @@ def test_a_groom_is_retextured_and_tapers(told: NumberedTexture) -> None:
     np.testing.assert_allclose(made.points[made.offsets[1:] - 1, 2], -14.0, atol=0.02)
     found = label(made)
     assert np.median(found.radius) == pytest.approx(RADIUS, rel=0.15)
-    tapering = asked_texture(asked(radius=Profile((0.6, 0.2)), wavelength=Profile((1.2,)), twist=0.3), CONDITIONED)
+    tapering = replace(told, shape=Shape((0.7, 0.4, 0.2), (WAVELENGTH,) * 3, RADIUS, WAVELENGTH))
     strands = generate(tapering, 12, 24.0)
     thirds = [np.array_split(np.hypot(*strands.strand(s)[:, :2].T), 3) for s in range(12)]
     upper, lower = (float(np.median([third[k].mean() for third in thirds])) for k in (0, 2))
