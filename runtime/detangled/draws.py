@@ -63,8 +63,11 @@ def settled(texture: AnyTexture, radius: float, wavelength: float, twist: float)
     by = BY_HELIX if trust_in_winding(twist) > 0.5 else BY_LABELS
     for seed in range(SEED, SEED + ROUNDS):
         strands = _drawn(texture, seed)
-        read = np.array([_middle(values) for values in sizes_read(strands, by).T])
-        wanted = read * np.array([radius, wavelength]) / _numbers(strands).sizes(twist)
+        found = _numbers(strands)
+        read = found.labelled
+        if by == BY_HELIX:
+            read = np.array([_middle(values) for values in sizes_read(strands, by).T])
+        wanted = read * np.array([radius, wavelength]) / found.sizes(twist)
         if not np.isfinite(wanted).all():
             break
         texture = replace(texture, settling=Settling(by, *wanted.tolist()))
