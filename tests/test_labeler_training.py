@@ -3,7 +3,6 @@
 from __future__ import annotations
 
 import math
-from collections.abc import Iterator
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -31,6 +30,8 @@ from detangled_training.labeler_training import (  # noqa: E402
 from detangled_training.strands import UNTYPED  # noqa: E402
 from detangled_training.variants import VariantOptions  # noqa: E402
 
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
+
 TINY = LabelerSizes(lstm_width=4, encoder_width=8, layers=1, heads=2, feed_forward=8)
 OPTIONS = LabelerOptions(steps=(4, 4, 2, 2), batch=8, warm_up=2, evaluate_every=2, save_every=1, sizes=TINY)
 STEPS = sum(OPTIONS.steps)
@@ -41,15 +42,6 @@ Folders = tuple[Path, Path]
 
 class StoppedError(Exception):
     """What a test stops a training by."""
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    """On a busy machine several wait for each other, hundreds of times longer than they work on what is tiny."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="session")

@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-from collections.abc import Iterator
 from typing import Any
 
 import numpy as np
@@ -18,14 +17,7 @@ from detangled_training.onnx_files import serialized  # noqa: E402
 from detangled_training.onnx_translation import Translator  # noqa: E402
 from detangled_training.recurrence import BidirectionalLSTM, lstm, lstm_backward  # noqa: E402
 
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    """On a busy machine several wait for each other, hundreds of times longer than they work on what is tiny."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
 
 
 def both_lstms(given: int, width: int) -> tuple[BidirectionalLSTM, BidirectionalLSTM]:

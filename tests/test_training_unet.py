@@ -4,7 +4,6 @@ from __future__ import annotations
 
 import hashlib
 import json
-from collections.abc import Iterator
 from pathlib import Path
 from typing import Any
 
@@ -31,6 +30,8 @@ from detangled_training.parameters import (  # noqa: E402
     torch_step,
 )
 from detangled_training.unet import Architecture, UNet  # noqa: E402
+
+pytestmark = pytest.mark.usefixtures("one_torch_thread")
 
 TINY = Architecture(channels=(8, 16), attention=1, embedding=16, groups=4, heads=2)
 WHITENING = Whitening((0.7, 0.4), (0.1, 0.2, -0.3), (1.1, 1.2, 0.9))
@@ -66,15 +67,6 @@ def denoised(network: UNet, given: dict[str, Any]) -> Any:
 
 def session(model: Path | bytes) -> Any:
     return onnxruntime.InferenceSession(model, providers=["CPUExecutionProvider"])
-
-
-@pytest.fixture(scope="module", autouse=True)
-def one_thread() -> Iterator[None]:
-    """On a busy machine several wait for each other, hundreds of times longer than they work on what is tiny."""
-    threads = torch.get_num_threads()
-    torch.set_num_threads(1)
-    yield
-    torch.set_num_threads(threads)
 
 
 @pytest.fixture(scope="module")

@@ -9,18 +9,15 @@ from __future__ import annotations
 import hashlib
 import json
 from pathlib import Path
-from typing import Any
 
 import numpy as np
-import onnx
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
 
 from detangled.labeling import CELLS
 from detangled.models import FILES, LABELER, LABELER_GRADIENT
+from tiny_graph import OPSET, TinyGraph
 
 BATCH = 4
-OPSET, IR_VERSION = 20, 10
 LEAST = 1e-6  # [1/cm^2] of kappa^2 + tau^2
 SLOPE = 0.25  # of the twist by the mean speed
 
@@ -49,22 +46,8 @@ def slopes(values: Floats, weights: Floats) -> Floats:
     return np.repeat(each[:, None], CELLS, axis=1)
 
 
-class Graph:
-    """Nodes and constants, named as they come."""
-
-    def __init__(self) -> None:
-        self.nodes: list[Any] = []
-        self.constants: list[Any] = []
-
-    def do(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        made = output or f"{operator}.{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, list(inputs), [made], **attributes))
-        return made
-
-    def constant(self, value: Any, element: type = np.float32) -> str:
-        name = f"constant.{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.array(value, dtype=element), name))
-        return name
+class Graph(TinyGraph):
+    """What both models have."""
 
     def column(self, of: str, k: int) -> str:
         return self.do("Gather", of, self.constant([k], np.int64), axis=1)
@@ -109,16 +92,6 @@ class Graph:
         each = self.do("Div", self.do("Concat", by_kappa, by_tau, by_v, axis=1), self.constant(float(CELLS)))
         wide = self.do("Unsqueeze", each, self.constant([1], np.int64))
         self.do("Expand", wide, self.constant([BATCH, CELLS, 3], np.int64), output="gradient")
-
-    def serialized(self, name: str, inputs: dict[str, list[int]], outputs: dict[str, list[int]]) -> bytes:
-        given, made = (
-            [helper.make_tensor_value_info(key, TensorProto.FLOAT, shape) for key, shape in shapes.items()]
-            for shapes in (inputs, outputs)
-        )
-        graph = helper.make_graph(self.nodes, name, given, made, self.constants)
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
-        onnx.checker.check_model(model)
-        return bytes(model.SerializeToString(deterministic=True))
 
 
 def write_tiny(folder: Path) -> Path:

@@ -17,19 +17,18 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-import onnx
 from numpy.typing import NDArray
-from onnx import TensorProto, helper, numpy_helper
+from onnx import TensorProto, numpy_helper
 
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
 from detangled.models import CONDITION_NAMES
+from tiny_graph import OPSET, TinyGraph
 
 CHANNELS, FEATURES = 3, 4
 PARAMETERS = CHANNELS * FEATURES
 CELLS = 64
 BATCH = 4
-OPSET, IR_VERSION = 20, 10
 ARCHITECTURE = {"features": FEATURES}
 WHITENING = Whitening((0.7, 0.4), (0.1, 0.2, -0.3), (1.1, 1.2, 0.9))
 # It starts far from any texture, so that there is something to learn; no two channels are alike.
@@ -79,25 +78,8 @@ def export_tiny(folder: Path, architecture: dict[str, Any] | None = None, weight
     return folder
 
 
-class _Graph:
-    """Nodes and constants, named as they come."""
-
-    def __init__(self) -> None:
-        self.nodes: list[onnx.NodeProto] = []
-        self.constants: list[onnx.TensorProto] = []
-
-    def do(self, operator: str, *inputs: str, output: str = "", **attributes: Any) -> str:
-        made = output or f"{operator}.{len(self.nodes)}"
-        self.nodes.append(helper.make_node(operator, list(inputs), [made], **attributes))
-        return made
-
-    def constant(self, value: Any, element: type = np.float32) -> str:
-        name = f"constant.{len(self.constants)}"
-        self.constants.append(numpy_helper.from_array(np.array(value, dtype=element), name))
-        return name
-
-    def axes(self, *axes: int) -> str:
-        return self.constant(axes, np.int64)
+class _Graph(TinyGraph):
+    """What both models have."""
 
     def features(self) -> str:
         """The features (B, 3, 4, L) of noisy, log_snr and position."""
@@ -117,17 +99,6 @@ class _Graph:
         """Clean signals (B, 3, L) by weights (12,)."""
         w = self.do("Reshape", weights, self.constant((1, CHANNELS, FEATURES, 1), np.int64))
         return self.do("ReduceSum", self.do("Mul", w, features), self.axes(2), keepdims=0)
-
-    def serialized(
-        self, name: str, inputs: dict[str, list[Any]], outputs: dict[str, list[Any]], more: list[onnx.TensorProto]
-    ) -> bytes:
-        def described(shapes: dict[str, list[Any]]) -> list[onnx.ValueInfoProto]:
-            return [helper.make_tensor_value_info(key, TensorProto.FLOAT, shape) for key, shape in shapes.items()]
-
-        graph = helper.make_graph(self.nodes, name, described(inputs), described(outputs), [*more, *self.constants])
-        model = helper.make_model(graph, opset_imports=[helper.make_opsetid("", OPSET)], ir_version=IR_VERSION)
-        onnx.checker.check_model(model)
-        return bytes(model.SerializeToString(deterministic=True))
 
 
 def _denoiser(weights: NDArray[np.float16]) -> bytes:
@@ -174,4 +145,4 @@ def _training_step() -> bytes:
     inputs |= {"step": [], "learning_rate": [], "noisy": signal, "clean": signal}
     inputs |= {"log_snr": [BATCH], "position": [BATCH, CELLS], "weight": [BATCH]}
     outputs = {name: vector for name in ("new_weights", "new_first_moment", "new_second_moment")} | {"loss": []}
-    return g.serialized("training step", inputs, outputs, [])
+    return g.serialized("training step", inputs, outputs)
