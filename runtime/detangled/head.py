@@ -36,8 +36,6 @@ class Head:
         if len(faces) and (faces.min() < 0 or faces.max() >= len(vertices)):
             raise DetangledError(f"faces must name vertices 0 to {len(vertices) - 1}")
         if self.uv is not None and np.shape(self.uv) != (len(faces), 3, 2):
-            raise DetangledError(
-                f"uv must have the shape (F, 3, 2), here {(len(faces), 3, 2)}, not {np.shape(self.uv)}"
-            )
+            raise DetangledError(f"uv must have the shape {(len(faces), 3, 2)}, not {np.shape(self.uv)}")
         object.__setattr__(self, "vertices", vertices)
         object.__setattr__(self, "faces", faces)
