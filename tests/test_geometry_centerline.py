@@ -257,6 +257,21 @@ def test_real_curls_wind_around_their_guides(grooms: Callable[[str], Path]) -> N
     assert optimised < 0.7 * started
 
 
+def test_without_a_style_the_axis_of_a_long_strand_bends_as_that_of_a_short_one() -> None:
+    turns, radius, period = 150.0, 0.25, 20.0
+    strand = helix(radius, 0.6, turns, 24)
+    wander = 0.8 * np.sin(2 * np.pi * strand[:, 2] / (period * 0.6))
+    axis = np.stack([wander, np.zeros(len(strand)), strand[:, 2]], axis=1)
+    strand = strand + wander[:, None] * [1.0, 0.0, 0.0]
+    inner = slice(len(strand) // 10, -len(strand) // 10)
+    off = [
+        np.median(np.linalg.norm(centerlines(strand, [0, len(strand)], turns)[0] - axis, axis=1)[inner])
+        for turns in (24.0, 0.0)
+    ]
+    assert off[0] < 0.3 * radius
+    assert off[1] > 1.5 * radius
+
+
 # Invariances, and whatever a groom may hold.
 
 

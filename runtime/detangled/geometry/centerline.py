@@ -386,7 +386,7 @@ def optimise(strand: NDArray[np.float64], unit: float, stiffness: float = WEIGHT
 
 @kernel
 def _centerline(
-    points: NDArray[np.float64], least_turns: float, out: NDArray[np.float64], rough: NDArray[np.float64]
+    points: NDArray[np.float64], styleless_turns: float, out: NDArray[np.float64], rough: NDArray[np.float64]
 ) -> None:
     """Fill ``out`` (n, 3) with the world-space centreline of a strand (n, 3), and ``rough`` (n, 3) with its start.
 
@@ -416,11 +416,13 @@ def _centerline(
         m = enough
         grid = uniform_grid(t[-1], m)
         dense = spline_sample(t, knots, slopes, grid)
-    frequencies = min(max(np.round(turns / TURNS_PER_FREQUENCY), FEWEST_FREQUENCIES), MOST_FREQUENCIES)
+    style_turns = turns if styleless_turns == 0.0 else styleless_turns
+    most = MOST_FREQUENCIES * max(turns / style_turns, 1.0)
+    frequencies = min(max(np.round(turns / TURNS_PER_FREQUENCY), FEWEST_FREQUENCIES), most)
     guide = dct_centerline(dense, int(frequencies))
     _interpolate(grid, guide, at, rough)
     extra = int(EXTENSION * m)
-    stiffness = WEIGHT_CURVATURE * max(1.0, max(turns, least_turns) / SOFT_TURNS) ** STIFFENING
+    stiffness = WEIGHT_CURVATURE * max(1.0, style_turns / SOFT_TURNS) ** STIFFENING
     axis = optimise(_extend(phi(dense, guide), extra), m / (2.0 * np.pi * turns), stiffness)
     rotation = guide_frames(guide)
     for i in range(m + 1):
@@ -446,27 +448,28 @@ def _interpolate(
 def _centerlines(
     points: NDArray[np.float64],
     offsets: NDArray[np.int64],
-    least_turns: float,
+    styleless_turns: float,
     guides: NDArray[np.float64],
     starts: NDArray[np.float64],
 ) -> None:
     for s in prange(offsets.shape[0] - 1):
         a = offsets[s]
         b = offsets[s + 1]
-        _centerline(points[a:b], least_turns, guides[a:b], starts[a:b])
+        _centerline(points[a:b], styleless_turns, guides[a:b], starts[a:b])
 
 
 def centerlines(
-    points: ArrayLike, offsets: ArrayLike, least_turns: float = 0.0
+    points: ArrayLike, offsets: ArrayLike, styleless_turns: float = 0.0
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Centrelines (P, 3) [cm] of all strands, and their rough starts (P, 3) from the lowest frequencies alone.
 
     points: (P, 3), strand s in rows offsets[s] to offsets[s + 1]. A strand without curl, of fewer than three
-    distinct points, or with a coordinate that is not finite is its own centreline. ``least_turns``: the axes are as
-    stiff as those of strands of at least so many turns; for strands that have no style to follow.
+    distinct points, or with a coordinate that is not finite is its own centreline. ``styleless_turns``: the axes may
+    bend as those of strands of exactly so many turns do, however many there are; for strands that have no style to
+    follow. 0: the more turns, the stiffer, as a style's bends are as long as the strand.
     """
     points = compiled_input(points, np.float64)
     guides = np.empty(points.shape)
     starts = np.empty(points.shape)
-    _centerlines(points, compiled_input(offsets, np.int64), float(least_turns), guides, starts)
+    _centerlines(points, compiled_input(offsets, np.int64), float(styleless_turns), guides, starts)
     return guides, starts
