@@ -6,6 +6,7 @@ straight axis; where numbers are asked for it is guided to them.
 
 from __future__ import annotations
 
+from collections.abc import Callable
 from typing import Protocol
 
 import numpy as np
@@ -19,6 +20,7 @@ from detangled.diffusion.patches import denoise_strands, plan_stretches
 from detangled.diffusion.sampler import Denoiser, Guide, SamplerStep, sample
 from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.steering import steer_strands, with_arcs
+from detangled.diffusion.whitening import Whitening
 from detangled.errors import ModelError
 from detangled.fitted import FINETUNE, FittedTexture
 from detangled.kernels import thread_count
@@ -35,6 +37,9 @@ FEWEST_TURNS_TO_STEER = 12.0
 # sudden, show late. All sigma / alpha.
 GUIDE_SIZES_BELOW, GUIDE_TWIST_BELOW = 1.0, 0.5
 HUNG = 1.0  # the network is asked for hair as it hangs
+
+
+Guided = Callable[[NDArray[np.float64], SamplerStep], NDArray[np.float64]]
 
 
 class Engine(Protocol):
@@ -69,10 +74,10 @@ class PatchEngine:
         self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
     ) -> NDArray[np.float64]:
         noise = _noise(generators, cells)
-        channels = sample(
-            self._denoiser(cells, generators), noise, CosineSchedule(), steps, _fitted_guide(self._texture, cells, arcs)
-        )
-        return with_arcs(self._texture.whitening.restore(channels), arcs)
+        whitening = self._texture.whitening
+        guide = _guide(self._texture, whitening, cells, arcs)
+        channels = sample(self._denoiser(cells, generators), noise, CosineSchedule(), steps, guide)
+        return with_arcs(whitening.restore(channels), arcs)
 
     def _denoiser(self, cells: int, generators: list[np.random.Generator]) -> Denoiser:
         """The denoiser for a batch of strands, each with examples of its own."""
@@ -114,7 +119,7 @@ class NetworkEngine:
         self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
     ) -> NDArray[np.float64]:
         texture = self._texture
-        guide = _fitted_guide(texture, cells, arcs)
+        guide = _guide(texture, texture.whitening, cells, arcs)
         # A network of senseless weights predicts whatever it may: that is told of below, once.
         with np.errstate(all="ignore"):
             channels = sample(self._network, _noise(generators, cells), CosineSchedule(), steps, guide)
@@ -145,27 +150,29 @@ class NumberedEngine:
         condition = np.stack([*(number * every for number in told), np.log(arcs), HUNG * every], axis=1)
         if texture.method == GUIDED:
             condition[:, :3] = np.nan  # length and hanging are none of the texture's numbers
-        steered = _steered(texture, cells)
-        guided = None if self._guidance is None else self._guidance.begin()
 
         def denoise(noisy: NDArray[np.float64], alpha: float, sigma: float) -> NDArray[np.float64]:
             return self._network(noisy, alpha, sigma, condition)
 
-        def guide(channels: NDArray[np.float64], step: SamplerStep) -> NDArray[np.float64]:
-            values = with_arcs(whitening.restore(channels), arcs)
-            counted = _counted(texture.method, step)
-            if guided is not None and counted.any():
-                values = guided(values, counted)
-            if steered and step.sigma < STEER_BELOW * step.alpha:
-                values = steer_strands(values, texture.turn)
-            return whitening.whiten(values)
-
+        guide = _guide(texture, whitening, cells, arcs, self._guided())
         with np.errstate(all="ignore"):
             channels = sample(denoise, _noise(generators, cells), CosineSchedule(), steps, guide)
             values = with_arcs(whitening.restore(channels), arcs)
         if not np.isfinite(values).all():
             raise ModelError(f"{self._model.path}: predicts no finite strands: export the model anew")
         return values
+
+    def _guided(self) -> Guided | None:
+        """Guidance of one batch to the texture's numbers, from the steps on where each shows."""
+        if self._guidance is None:
+            return None
+        move = self._guidance.begin()
+
+        def guided(values: NDArray[np.float64], step: SamplerStep) -> NDArray[np.float64]:
+            counted = _counted(self._texture.method, step)
+            return move(values, counted) if counted.any() else values
+
+        return guided
 
 
 def _guidance(texture: NumberedTexture) -> Guidance:
@@ -190,13 +197,16 @@ def _noise(generators: list[np.random.Generator], cells: int) -> NDArray[np.floa
     return np.stack([rng.standard_normal((3, cells)) for rng in generators])
 
 
-def _fitted_guide(texture: FittedTexture, cells: int, arcs: NDArray[np.float64]) -> Guide:
-    """What every predicted clean signal is given: the arc length asked for, and a straight axis."""
-    whitening = texture.whitening
+def _guide(
+    texture: Texture, whitening: Whitening, cells: int, arcs: NDArray[np.float64], guided: Guided | None = None
+) -> Guide:
+    """What every predicted clean signal is given: the arc length asked for, what guides it, and a straight axis."""
     steered = _steered(texture, cells)
 
     def guide(channels: NDArray[np.float64], step: SamplerStep) -> NDArray[np.float64]:
         values = with_arcs(whitening.restore(channels), arcs)
+        if guided is not None:
+            values = guided(values, step)
         if steered and step.sigma < STEER_BELOW * step.alpha:
             values = steer_strands(values, texture.turn)
         return whitening.whiten(values)
