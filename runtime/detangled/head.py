@@ -19,12 +19,14 @@ class Head:
     uv: (F, 3, 2) float64, texture coordinates of each face's corners; None where the file has none. Tiles beyond the
         first (u or v over 1) are kept as they are.
     notes: what the reader could not keep or had to assume, one sentence each.
+    unit_cm: centimetres in one unit of the file that it came from.
     """
 
     vertices: NDArray[np.float64]
     faces: NDArray[np.int64]
     uv: NDArray[np.float64] | None = None
     notes: tuple[str, ...] = ()
+    unit_cm: float = 1.0
 
     def __post_init__(self) -> None:
         vertices = np.ascontiguousarray(self.vertices, dtype=np.float64)
