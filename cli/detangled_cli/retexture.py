@@ -5,11 +5,13 @@ from __future__ import annotations
 import time
 from dataclasses import replace
 from pathlib import Path
-from typing import Any
+from typing import TYPE_CHECKING, Any
 
 import click
 
 from detangled_cli.console import (
+    UNIT,
+    UNIT_NAMES,
     announce_first_run,
     input_argument,
     note,
@@ -21,6 +23,10 @@ from detangled_cli.console import (
     warn,
 )
 from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
+
+if TYPE_CHECKING:
+    from detangled.groom import Groom
+    from detangled.head import Head
 
 
 @click.command()
@@ -42,6 +48,27 @@ from detangled_cli.targets import fibre_attributes, texture_options, wanted_text
     metavar="N",
     help="Most points a strand may have. Default: as many as the texture needs, 16 a turn.",
 )
+@click.option(
+    "--head",
+    "head_source",
+    metavar="MESH",
+    type=click.Path(path_type=Path),
+    help="What the groom grows on (.obj, .ply, .stl, .glb, .abc): hair is kept out of it.",
+)
+@click.option("--head-unit", type=UNIT, metavar="U", help=f"Unit of the head: {UNIT_NAMES}.")
+@click.option(
+    "--head-group",
+    metavar="G",
+    help="Groups, objects or materials of the mesh that are skin, with commas between them. Default: body, or what is "
+    "named as face, head or scalp, else all.",
+)
+@click.option(
+    "--on-penetration",
+    type=click.Choice(["rotate", "delete", "keep"]),
+    default="rotate",
+    show_default=True,
+    help="Hair in the head: rotate turns and lifts it out, delete also deletes what stays in, keep leaves it.",
+)
 @unit_option
 @threads_option
 @quiet_option
@@ -52,6 +79,10 @@ def command(
     seed: int,
     steps: int,
     max_points: int | None,
+    head_source: Path | None,
+    head_unit: str | None,
+    head_group: str | None,
+    on_penetration: str,
     unit: str | None,
     threads: int | None,
     thickness: str | None,
@@ -69,8 +100,10 @@ def command(
       detangled retexture in.abc out.abc --type 4B
       detangled retexture in.abc out.abc --radius 6mm:2mm --wavelength 8mm --twist 0.3
       detangled retexture in.abc out.abc --target coily.texture --length strand --seed 7
+      detangled retexture in.abc out.abc --type 4B --head head.obj
     """
     from detangled.formats import check_writable, read, write
+    from detangled.grooming.interpenetration import OnPenetration
     from detangled.grooming.lengths import Length
     from detangled.kernels import set_threads
     from detangled.retexturing import Options, retexture
@@ -81,12 +114,14 @@ def command(
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
+    head = None if head_source is None else _head_of(groom, head_source, head_unit, head_group)
     groom = replace(groom, attributes={**groom.attributes, **fibre})
     announce_first_run("placing.resample")
     set_threads(threads)
     texture = wanted_texture(**wanted, seed=seed)
     with progress_bar("strands", groom.strand_count) as bar:
-        result = retexture(groom, texture, Options(Length(length), seed, steps, max_points), bar.update)
+        options = Options(Length(length), seed, steps, max_points, head, OnPenetration(on_penetration))
+        result = retexture(groom, texture, options, bar.update)
     for sentence in [*result.lost, *result.warnings, *write(result.groom, target)]:
         warn(f"{target}: {sentence}")
     if len(result.passed_through):
@@ -95,6 +130,27 @@ def command(
             f"{source}: {len(result.passed_through)} strands cannot be used and pass through "
             f"unchanged: {some}{', ...' if len(result.passed_through) > 5 else ''}"
         )
+    if result.penetration is not None:
+        note(f"{target}: {result.penetration}")
+        for sentence in result.penetration.warnings():
+            warn(f"{target}: {sentence}")
     note(
         f"{target}: {result.strands} strands, {len(result.groom.points)} points, in {time.perf_counter() - began:.1f} s"
     )
+
+
+def _head_of(groom: Groom, source: Path, unit: str | None, group: str | None) -> Head:
+    """The head that a groom grows on, in the groom's frame. Raises ReadError where they do not fit."""
+    from detangled.errors import ReadError
+    from detangled.formats.meshes import read_head
+    from detangled.grooming.head_fit import fitted_to
+
+    announce_first_run("placing.resample")
+    try:
+        head = fitted_to(read_head(source, unit=unit, group=group), groom)
+    except ReadError as error:
+        told = str(error)
+        raise ReadError(told if told.startswith(str(source)) else f"{source}: {told}") from error
+    for sentence in head.notes:
+        warn(f"{source}: {sentence}")
+    return head

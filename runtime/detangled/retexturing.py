@@ -19,8 +19,11 @@ from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import resampled_attributes, style_guides
+from detangled.grooming.interpenetration import OnPenetration
+from detangled.grooming.keeping_out import Keeper, Penetration
 from detangled.grooming.lengths import Length, Seats, canonical_of, strands_on_guides
 from detangled.grooming.placing import resample
+from detangled.head import Head
 from detangled.synthesis import synthesise
 
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
@@ -33,12 +36,19 @@ LENGTH_TOLERANCE = 1e-3
 
 @dataclass(frozen=True)
 class Options:
-    """How to retexture. max_points: most points a strand may have, None for as many as the texture needs."""
+    """How to retexture.
+
+    max_points: most points a strand may have, None for as many as the texture needs. head: what the groom grows on
+    (``grooming.head_fit.fitted_to`` says whether they fit), None where nothing is known of it. on_penetration: what to
+    do with hair that is in it.
+    """
 
     length: Length = Length.GUIDE
     seed: int = 0
     steps: int = DEFAULT_STEPS
     max_points: int | None = None
+    head: Head | None = None
+    on_penetration: OnPenetration = OnPenetration.ROTATE
 
 
 @dataclass(frozen=True)
@@ -47,6 +57,7 @@ class Result:
 
     strands: how many were retextured. passed_through: indices (B,) of those that could not be, and are unchanged.
     lost: attributes that could not be carried over, one sentence each. warnings: other sentences.
+    penetration: hair in the head before and after; None where no head was given.
     """
 
     groom: Groom
@@ -54,6 +65,7 @@ class Result:
     passed_through: NDArray[np.int64]
     lost: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
+    penetration: Penetration | None = None
 
 
 def retexture(
@@ -64,9 +76,10 @@ def retexture(
 ) -> Result:
     """Make one new strand of the texture on each style guide of a groom.
 
-    Strand count, order, roots and attributes stay; strands without two distinct finite points pass through as they
-    are. The same seed gives the same strands, whatever the number of threads. progress: told how many strands were
-    finished. Raises ReadError where no strand can be used.
+    Strand count, order, roots and attributes stay, but for strands that are deleted since they enter the head;
+    strands without two distinct finite points pass through as they are. The same seed gives the same strands,
+    whatever the number of threads. progress: told how many strands were finished. Raises ReadError where no strand
+    can be used.
     """
     options = options or Options()
     guides = style_guides(groom)
@@ -75,6 +88,9 @@ def retexture(
             f"none of the {groom.strand_count} strands can be used: each has fewer than two distinct points, a "
             "coordinate that is not finite, or is longer than 20 m (is the unit right?)"
         )
+    keeper = None if options.head is None else Keeper(options.head, groom, texture, options.on_penetration)
+    if keeper is not None:
+        guides = keeper.turned(guides)
     goals = guides.lengths
     if options.length is Length.STRAND:
         goals = arc_lengths(guides.groom.points, guides.groom.offsets)
@@ -90,6 +106,7 @@ def retexture(
         stiff=texture.stiff,
         wave_turn=texture.wave_turn,
         shape=texture.shape,
+        room=None if keeper is None else keeper.room,
     )
     passed_through = np.setdiff1d(np.arange(groom.strand_count), guides.kept)
     strands: list[NDArray[np.float64]] = [np.empty((0, 3))] * groom.strand_count
@@ -127,12 +144,15 @@ def retexture(
 
     offsets = offsets_of([len(s) for s in strands])
     attributes, lost = resampled_attributes(groom, offsets)
+    made_groom = replace(groom, points=np.concatenate(strands), offsets=offsets, attributes=attributes)
+    made_groom, penetration = (made_groom, None) if keeper is None else keeper.finished(made_groom)
     return Result(
-        groom=replace(groom, points=np.concatenate(strands), offsets=offsets, attributes=attributes),
+        groom=made_groom,
         strands=len(guides.kept),
         passed_through=passed_through,
         lost=lost,
         warnings=_warnings(per_turn, reached, options),
+        penetration=penetration,
     )
 
 

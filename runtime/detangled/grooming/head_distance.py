@@ -113,9 +113,7 @@ def distance_and_gradient(
     distance = low + u * (high - low)
     dx = (high - low) / step
     dy = ((cd - ab) * (1.0 - u) + (gh - ef) * u) / step
-    dz = (
-        ((b - a) * (1.0 - v) + (d - c) * v) * (1.0 - u) + ((f - e) * (1.0 - v) + (h - g) * v) * u
-    ) / step
+    dz = (((b - a) * (1.0 - v) + (d - c) * v) * (1.0 - u) + ((f - e) * (1.0 - v) + (h - g) * v) * u) / step
     ox, oy, oz = (gx - cx) * step, (gy - cy) * step, (gz - cz) * step
     beyond = np.sqrt(ox * ox + oy * oy + oz * oz)
     if beyond > 0.0:

@@ -8,10 +8,10 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.errors import ReadError
+from detangled.groom import Groom
 from detangled.grooming.guides import usable_strands
 from detangled.grooming.head_distance import exact_distances
 from detangled.grooming.head_inside import winding_tree
-from detangled.groom import Groom
 from detangled.head import Head
 from detangled.units import CM_PER_UNIT, unit_name
 

@@ -20,6 +20,7 @@ from detangled.geometry.signal import curve_counts, curves
 from detangled.geometry.waves import wave_axes
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import to_canonical
+from detangled.grooming.lifting import Room, place_outside
 from detangled.grooming.placing import cut, place
 from detangled.shape import Shape
 
@@ -52,7 +53,7 @@ class Seats:
     stiff: whether short strands are taken to have straight axes: a few turns do not say how an axis bends, and to
     unbend what was found of it would add torsion. wave_turn: arc length [cm] of a turn where the strands are weak
     waves, else 0. shape: given to canonical strands. sizes: (S, 2), factors that radius and wavelength of canonical
-    strands are given first; None for none.
+    strands are given first; None for none. room: what keeps the strands out of a head; None where there is none.
     """
 
     guides: Groom
@@ -65,6 +66,7 @@ class Seats:
     wave_turn: float = 0.0
     shape: Shape | None = None
     sizes: NDArray[np.float64] | None = None
+    room: Room | None = None
 
     def select(self, chosen: NDArray[np.int64]) -> Seats:
         """These seats alone."""
@@ -79,7 +81,17 @@ class Seats:
             self.wave_turn,
             self.shape,
             None if self.sizes is None else self.sizes[chosen],
+            self.room,
         )
+
+
+class Built(NamedTuple):
+    """Strands (P, 3) [cm] in the world and in canonical space, their offsets (S + 1,), and their lengths uncut (S,)."""
+
+    world: NDArray[np.float64]
+    canonical: NDArray[np.float64]
+    offsets: NDArray[np.int64]
+    lengths: NDArray[np.float64]
 
 
 class Seated(NamedTuple):
@@ -95,11 +107,13 @@ def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], se
     values = values.copy()
     count = len(starts) - 1
     done: list[NDArray[np.float64]] = [np.empty((0, 3))] * count
+    straight: list[NDArray[np.float64]] = [np.empty((0, 3))] * count
     reached = np.zeros(count)
     todo = np.arange(count)
     for rounds in range(1, MOST_ROUNDS + 1):
         goals = seats.goals[todo]
-        world, offsets, lengths = _built(*_rows(values, starts, todo), seats, todo, length)
+        built = _built(*_rows(values, starts, todo), seats, todo, length)
+        lengths, offsets = built.lengths, built.offsets
         longest = (1.0 + MOST_CUT) * goals
         longest[seats.short[todo] | (rounds > STRICT_ROUNDS)] = np.inf
         ready = (lengths >= goals) & (lengths <= longest) | (rounds == MOST_ROUNDS)
@@ -109,19 +123,24 @@ def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], se
         reached[todo] = np.minimum(lengths / goals, 1.0)
         for k, index in enumerate(todo):
             if ready[k]:
-                done[index] = world[offsets[k] : offsets[k + 1]]
+                done[index] = built.world[offsets[k] : offsets[k + 1]]
+                straight[index] = built.canonical[offsets[k] : offsets[k + 1]]
             else:
                 values[starts[index] : starts[index + 1], 2] *= scale[k]
         todo = todo[~ready]
         if len(todo) == 0:
             break
-    return Seated(np.concatenate(done), offsets_of([len(d) for d in done]), reached)
+    points, offsets = np.concatenate(done), offsets_of([len(d) for d in done])
+    if seats.room is not None:
+        canonical = np.concatenate(straight)
+        points = place_outside(canonical, offsets, *_places(canonical, offsets, seats), seats.room).points
+    return Seated(points, offsets, reached)
 
 
 def _built(
     values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats, chosen: NDArray[np.int64], length: Length
-) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64]]:
-    """Strands of signals on the chosen seats, cut at their goals, their offsets, and the lengths they had uncut."""
+) -> Built:
+    """Strands of signals on the chosen seats, cut at their goals."""
     seats = seats.select(chosen)
     canonical, offsets = canonical_of(values, starts, seats)
     if seats.sizes is not None:
@@ -132,13 +151,21 @@ def _built(
         down = canonical[offsets[:-1], 2].repeat(np.diff(offsets)) - canonical[:, 2]
         lengths = np.maximum.reduceat(down, offsets[:-1])
         canonical, offsets = cut(canonical, offsets, down, seats.goals)
-    angles = _angles(canonical[offsets[:-1]], seats.roots, seats.turns)
-    world = place(canonical, offsets, seats.guides.points, seats.guides.offsets, seats.roots, angles)
+    world = place(canonical, offsets, *_places(canonical, offsets, seats))
     if length is Length.STRAND:
         along = arc_positions(world, offsets)
         lengths = along[offsets[1:] - 1]
+        canonical, _ = cut(canonical, offsets, along, seats.goals)
         world, offsets = cut(world, offsets, along, seats.goals)
-    return world, offsets, lengths
+    return Built(world, canonical, offsets, lengths)
+
+
+def _places(
+    canonical: NDArray[np.float64], offsets: NDArray[np.int64], seats: Seats
+) -> tuple[NDArray[np.float64], NDArray[np.int64], NDArray[np.float64], NDArray[np.float64]]:
+    """Guides, their offsets, roots and angles about the axes, of canonical strands on their seats."""
+    angles = _angles(canonical[offsets[:-1]], seats.roots, seats.turns)
+    return seats.guides.points, seats.guides.offsets, seats.roots, angles
 
 
 def canonical_of(

@@ -26,7 +26,7 @@ BLEND_SHARE = 0.5
 
 
 @kernel
-def _dense_guide(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def dense_guide(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A guide finely sampled (m, 3) and the arc length at its samples (m,), from its smooth curve."""
     guide = distinct_points(points)
     segments = guide.shape[0] - 1
@@ -44,7 +44,13 @@ def bend_onto(canonical: NDArray[np.float64], guide: NDArray[np.float64]) -> NDA
     The guide is resampled where the strand's points are, so segments match one to one; beyond its ends it goes on
     straight. Its frames are those of phi, evenly turned between samples.
     """
-    dense, along = _dense_guide(guide)
+    dense, along = dense_guide(guide)
+    return bend(canonical, dense, along)
+
+
+@kernel
+def bend(canonical: NDArray[np.float64], dense: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Like ``bend_onto``, of a guide that is finely sampled (m, 3) already, with the arc length at its samples (m,)."""
     frames = guide_frames(dense)
     m = dense.shape[0] - 1
     n = canonical.shape[0]
@@ -93,7 +99,7 @@ def _blend(along: float, reach: float) -> float:
 
 
 @kernel
-def _seat(canonical: NDArray[np.float64], root: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
+def seat(canonical: NDArray[np.float64], root: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
     """Turn a canonical strand (n, 3) about its axis and let it start at ``root`` (3,), in canonical space."""
     n = canonical.shape[0]
     cosine = np.cos(angle)
@@ -136,7 +142,7 @@ def place(
     for s in prange(offsets.shape[0] - 1):
         a = offsets[s]
         b = offsets[s + 1]
-        seated = _seat(canonical[a:b], roots[s], angles[s])
+        seated = seat(canonical[a:b], roots[s], angles[s])
         out[a:b] = bend_onto(seated, guides[guide_offsets[s] : guide_offsets[s + 1]])
     return out
 
