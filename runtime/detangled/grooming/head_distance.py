@@ -50,8 +50,8 @@ class HeadDistance:
         return _gradients(self.values, self.origin, self.step, compiled_input(points, np.float64))
 
 
-def head_distance(head: Head, around: ArrayLike | None = None) -> HeadDistance:
-    """Fill the grid of a head.
+def head_distance(head: Head, around: ArrayLike | None = None, finest: float = FINEST_STEP) -> HeadDistance:
+    """Fill the grid of a head, its nodes no closer than ``finest`` [cm], further apart where it is large.
 
     around: (N, 3) [cm], points whose box is all that need be covered, as the hair on a whole body; None for the
     whole head. Beyond the grid, distances are those at its border and the way there, on the outside.
@@ -69,7 +69,7 @@ def head_distance(head: Head, around: ArrayLike | None = None) -> HeadDistance:
             low = np.minimum(np.maximum(low, points.min(axis=0)), high)
             high = np.maximum(np.minimum(high, points.max(axis=0)), low)
     low, high = low - MARGIN, high + MARGIN
-    step = max(FINEST_STEP, float(np.cbrt(np.prod(high - low) / MOST_NODES)))
+    step = max(finest, float(np.cbrt(np.prod(high - low) / MOST_NODES)))
     shape = np.ceil((high - low) / step).astype(np.int64) + 1
     tree = winding_tree(head)
     near, nearest = _band(tree.corners, *_by_plane(tree.corners, low, step, int(shape[0])), low, step, shape)
