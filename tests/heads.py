@@ -21,20 +21,24 @@ def sphere(subdivisions: int = 4) -> Head:
     return head_of(trimesh.creation.icosphere(subdivisions, radius=RADIUS))
 
 
-def hair_on(head: Head, roots: NDArray[np.float64], normals: NDArray[np.float64], length: float = 4.0) -> Groom:
-    """A strand of eight points on each root (S, 3), which leaves the head and falls down to one side."""
-    t = np.linspace(0.0, length, 8)
-    down = np.array([0.3, -1.0, 0.0])
-    strands = [r + t[:, None] * n + (0.12 * t**2)[:, None] * down for r, n in zip(roots, normals, strict=True)]
-    return Groom.from_strands(strands)
+def hair_on(roots: NDArray[np.float64], directions: NDArray[np.float64], length: float = 4.0) -> Groom:
+    """A strand of eight points on each root (S, 3), which sets out in a direction (S, 3) and falls down."""
+    t = np.linspace(0.0, length, 8)[:, None]
+    falling = 0.02 * t**2 * np.array([0.3, -1.0, 0.0])
+    return Groom.from_strands([root + t * way + falling for root, way in zip(roots, directions, strict=True)])
 
 
-def scalp_hair(head: Head, count: int = 40) -> Groom:
-    """Hair on the topmost tenth of a head of 25 cm, above its highest point less 6 cm."""
+def scalp(head: Head, count: int = 40) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Roots (S, 3) and normals (S, 3) of a head's surface, no more than 6 cm below its highest point."""
     corners = head.vertices[head.faces]
     normals = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
     middle = corners.mean(axis=1)
-    up = np.flatnonzero((middle[:, 1] > head.vertices[:, 1].max() - 6.0) & (normals[:, 1] > 0.3))
+    up = np.flatnonzero((middle[:, 1] > head.vertices[:, 1].max() - 6.0) & (normals[:, 1] > 0.5))
     chosen = up[np.linspace(0, len(up) - 1, count).astype(int)]
-    return hair_on(head, middle[chosen], normals[chosen])
+    return middle[chosen], normals[chosen]
+
+
+def scalp_hair(head: Head, count: int = 40) -> Groom:
+    """Short hair that leaves the top of a head."""
+    return hair_on(*scalp(head, count))

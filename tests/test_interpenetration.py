@@ -8,7 +8,7 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heads import RADIUS, scalp_hair, sphere
+from heads import RADIUS, hair_on, scalp, scalp_hair, sphere
 
 from detangled.errors import ReadError
 from detangled.formats import read
@@ -64,8 +64,8 @@ def test_the_least_turn_brings_a_straight_guide_out(ball: HeadDistance) -> None:
     assert turned.angles[0] == 0.0
     # A chord of the sphere that begins at the root is over within 3 to 4.5 mm where it is this little below the plane.
     spare = np.arcsin(np.array([0.3, 0.5]) / (2 * RADIUS))
-    assert np.all(turned.angles[1:] >= angles[1:] - spare[1] - 0.006)
-    assert np.all(turned.angles[1:] <= angles[1:] - spare[0] + 0.012)
+    assert np.all(turned.angles[1:] >= angles[1:] - spare[1] - 0.015)
+    assert np.all(turned.angles[1:] <= angles[1:] - spare[0] + 0.015)
     assert not entering(turned.points, groom.offsets, ball, 1e-6).any()
     np.testing.assert_array_equal(turned.points[groom.offsets[:-1]], groom.points[groom.offsets[:-1]])
     np.testing.assert_array_equal(turned.points[:9], groom.points[:9])
@@ -146,7 +146,7 @@ def test_coils_are_lifted_off_the_head(ball: HeadDistance, radius: float) -> Non
     assert np.median(np.abs(ratio - 1.0)) < 0.03
     height = np.linalg.norm(kept, axis=1) - RADIUS
     over = np.concatenate([np.arange(offsets[s], offsets[s] + (offsets[s + 1] - offsets[s]) // 2) for s in range(12)])
-    assert height[over].max() < 3.2 * radius + 0.15
+    assert height[over].max() < 3.5 * radius + 0.2
 
 
 def test_what_does_not_enter_is_not_moved(ball: HeadDistance) -> None:
@@ -203,16 +203,11 @@ def test_hair_on_other_heads(grooms: Callable[[str], Path], name: str) -> None:
     assert fitted_to(head, groom) is head
     field = head_distance(head, groom.points, finest=0.2)
     assert not entering(groom.points, groom.offsets, field).any()
-    roots = groom.points[groom.offsets[:-1]]
-    # Pressed down through the scalp, and turned out of it again.
-    centre = head.vertices[head.vertices[:, 1] > head.vertices[:, 1].max() - 10.0].mean(axis=0)
-    inwards = (centre - roots) / np.linalg.norm(centre - roots, axis=1)[:, None]
-    t = np.linspace(0, 4, 8)
-    across = np.cross(inwards, [0.0, 0.0, 1.0])
+    # Pressed through the scalp by 12 degrees, and turned out of it again.
+    roots, normals = scalp(head)
+    across = np.cross(normals, [0.0, 0.0, 1.0])
     across /= np.linalg.norm(across, axis=1)[:, None]
-    pressed = Groom.from_strands(
-        [r + t[:, None] * (0.98 * a + 0.2 * i) for r, a, i in zip(roots, across, inwards, strict=True)]
-    )
+    pressed = hair_on(roots, 0.98 * across - 0.2 * normals)
     assert entering(pressed.points, pressed.offsets, field).sum() > 20
     turned = turned_out(pressed.points, pressed.offsets, field, CLEARANCE)
     assert turned.stuck.sum() <= 4

@@ -1,8 +1,8 @@
 """Signed distance from a head, on a grid that is made once and read many millions of times.
 
 Near the surface each node holds its distance from the nearest triangle; further out, the least from the triangles that
-are nearest to the nodes of that band nearest to it and to the nodes around it. The sign is that of the generalised
-winding number.
+are nearest to the nodes of that band nearest to it and to the nodes around it, which may be a tenth too large beside
+edges. The sign is that of the generalised winding number.
 """
 
 from __future__ import annotations
