@@ -8,7 +8,6 @@ from pathlib import Path
 import numpy as np
 import pytest
 import trimesh
-from heads import RADIUS, head_of, sphere
 
 from detangled.errors import DetangledError
 from detangled.formats.meshes import read_head
@@ -16,6 +15,7 @@ from detangled.grooming.head_distance import HeadDistance, exact_distances, head
 from detangled.grooming.head_inside import winding_numbers, winding_tree
 from detangled.head import Head
 from detangled.kernels import set_threads
+from heads import RADIUS, head_of, sphere
 
 STEP = 0.3
 FACET = 0.025  # [cm] by which a sphere's facets are inside of it

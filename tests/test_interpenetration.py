@@ -8,7 +8,6 @@ from pathlib import Path
 
 import numpy as np
 import pytest
-from heads import RADIUS, hair_on, scalp, scalp_hair, sphere
 
 from detangled.errors import ReadError
 from detangled.formats import read
@@ -21,6 +20,7 @@ from detangled.grooming.interpenetration import entering, inside, turned_out
 from detangled.grooming.lifting import Room, place_outside
 from detangled.grooming.placing import place
 from detangled.kernels import set_threads
+from heads import RADIUS, hair_on, scalp, scalp_hair, sphere
 
 CLEARANCE = 0.02
 

@@ -13,7 +13,7 @@ import numpy as np
 from numpy.typing import ArrayLike, NDArray
 from scipy.ndimage import distance_transform_edt
 
-from detangled.errors import DetangledError
+from detangled.errors import ReadError
 from detangled.geometry.inputs import compiled_input
 from detangled.geometry.triangles import distance2_to_triangle
 from detangled.grooming.head_inside import INSIDE, WindingTree, winding_number, winding_tree
@@ -55,10 +55,10 @@ def head_distance(head: Head, around: ArrayLike | None = None, finest: float = F
 
     around: (N, 3) [cm], points whose box is all that need be covered, as the hair on a whole body; None for the
     whole head. Beyond the grid, distances are those at its border and the way there, on the outside.
-    Raises DetangledError where the head has no faces.
+    Raises ReadError where the head has no faces.
     """
     if len(head.faces) == 0:
-        raise DetangledError("the head has no faces: nothing can be inside or outside of it")
+        raise ReadError("the head has no faces: nothing can be inside or outside of it")
     used = head.vertices[head.faces].reshape(-1, 3)
     low, high = used.min(axis=0), used.max(axis=0)
     if around is not None:
