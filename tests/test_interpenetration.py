@@ -39,7 +39,7 @@ def sunk(angles: np.ndarray, length: float = 6.0) -> Groom:
 
 def test_points_are_counted_but_for_the_root(ball: HeadDistance) -> None:
     down = np.array([[0, 9.2, 0], [0, 9.0, 0], [0, 8.95, 0], [0, 8.5, 0], [0, 7.0, 0]])
-    groom = Groom.from_strands([down, down + [0, 3, 0], down[:1], np.zeros((0, 3))])
+    groom = Groom.from_strands([down, down + np.array([0, 3, 0]), down[:1], np.zeros((0, 3))])
     found = inside(groom.points, groom.offsets, ball)
     assert found.points.tolist() == [2, 0, 0, 0]  # 7 and 20 mm from the root, not 2 mm
     assert found.counted.tolist() == [2, 2, 0, 0]
@@ -50,7 +50,7 @@ def test_points_are_counted_but_for_the_root(ball: HeadDistance) -> None:
 
 def test_what_enters_between_its_points_enters(ball: HeadDistance) -> None:
     across = np.array([[-12.0, 3, 0], [12.0, 3, 0]])
-    above = across + [0, 8, 0]
+    above = across + np.array([0, 8, 0])
     groom = Groom.from_strands([across, above])
     assert inside(groom.points, groom.offsets, ball).points.sum() == 0
     assert entering(groom.points, groom.offsets, ball).tolist() == [True, False]
@@ -176,7 +176,7 @@ def test_a_head_of_another_unit_is_told() -> None:
         with pytest.raises(ReadError, match=rf"too (small|large) for the groom.*--head-unit {unit}\b"):
             fitted_to(small, groom)
     with pytest.raises(ReadError, match="does not grow on this head"):
-        fitted_to(replace(head, vertices=head.vertices + [40.0, 0, 0]), groom)
+        fitted_to(replace(head, vertices=head.vertices + np.array([40.0, 0, 0])), groom)
     lifted = fitted_to(replace(head, vertices=head.vertices * (7.5 / RADIUS)), groom)
     assert "1.5 cm from its surface" in lifted.notes[-1]
 

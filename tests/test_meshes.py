@@ -81,7 +81,7 @@ def test_a_glb_is_in_metres_and_its_nodes_are_placed(tmp_path: Path) -> None:
     np.testing.assert_allclose([both.vertices[:, 0].min(), both.vertices[:, 0].max()], [-10.0, 60.0], atol=1e-4)
     hat = read_head(tmp_path / "two.glb", group="hat")
     np.testing.assert_allclose([hat.vertices[:, 0].min(), hat.vertices[:, 0].max()], [40.0, 60.0], atol=1e-4)
-    with pytest.raises(ReadError, match="no mesh wig: it has .*hat"):
+    with pytest.raises(ReadError, match=r"no mesh wig: it has .*hat"):
         read_head(tmp_path / "two.glb", group="wig")
 
 
@@ -116,7 +116,7 @@ def test_an_alembic_mesh_below_a_transform(tmp_path: Path) -> None:
 
 
 def test_groups_are_chosen(box: Path) -> None:
-    far = BOX_POINTS + [100.0, 0, 0]
+    far = BOX_POINTS + np.array([100.0, 0, 0])
     text = obj_text(BOX_POINTS, BOX_QUADS, "g body\n") + "g helper-hat joint\n" + obj_text(far, BOX_QUADS + 8)
     box.write_text(text)
     body = read_head(box, unit="cm")
