@@ -63,8 +63,8 @@ def places_on(points: NDArray[np.float64], head: Head) -> Places:
         todo = todo[open_]
         many = min(4 * many, len(centres))
     faces = owner[found]
-    positions = _feet(points, head.vertices[head.faces[faces]])
-    return Places(positions, faces, _barycentric(positions, head.vertices[head.faces[faces]]))
+    weights = _feet(points, head.vertices[head.faces[faces]])
+    return Places(np.einsum("nk,nkc->nc", weights, head.vertices[head.faces[faces]]), faces, weights)
 
 
 def check_near(roots: NDArray[np.float64], places: Places, name: str = "the head") -> list[str]:
@@ -110,8 +110,11 @@ def _pieces(head: Head) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
 
 
 @kernel
-def _foot(p: NDArray[np.float64], triangle: NDArray[np.float64]) -> tuple[float, float, float]:
-    """Nearest point of a triangle (3, 3) to a point (Ericson 2004, "Real-Time Collision Detection", 5.1.5)."""
+def _foot(p: NDArray[np.float64], triangle: NDArray[np.float64]) -> tuple[float, float]:
+    """Weights of a triangle's second and third corner in its nearest point to p.
+
+    Ericson 2004, "Real-Time Collision Detection", section 5.1.5.
+    """
     a = triangle[0]
     ab = triangle[1] - a
     ac = triangle[2] - a
@@ -146,7 +149,7 @@ def _foot(p: NDArray[np.float64], triangle: NDArray[np.float64]) -> tuple[float,
     else:
         total = va + vb + vc
         v, w = (vb / total, vc / total) if total != 0.0 else (0.0, 0.0)
-    return a[0] + v * ab[0] + w * ac[0], a[1] + v * ab[1] + w * ac[1], a[2] + v * ab[2] + w * ac[2]
+    return v, w
 
 
 @parallel_kernel
@@ -158,8 +161,12 @@ def _nearest(
     gap = np.full(points.shape[0], np.inf)
     for i in prange(points.shape[0]):
         for j in range(around.shape[1]):
-            x, y, z = _foot(points[i], corners[around[i, j]])
-            d = np.sqrt((x - points[i, 0]) ** 2 + (y - points[i, 1]) ** 2 + (z - points[i, 2]) ** 2)
+            triangle = corners[around[i, j]]
+            v, w = _foot(points[i], triangle)
+            d2 = 0.0
+            for c in range(3):
+                d2 += ((1.0 - v - w) * triangle[0, c] + v * triangle[1, c] + w * triangle[2, c] - points[i, c]) ** 2
+            d = np.sqrt(d2)
             if d < gap[i]:
                 gap[i] = d
                 best[i] = around[i, j]
@@ -168,20 +175,11 @@ def _nearest(
 
 @parallel_kernel
 def _feet(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    out = np.empty(points.shape)
+    """Barycentric weights (N, 3) of the nearest points of triangles (N, 3, 3) to points (N, 3)."""
+    out = np.empty((points.shape[0], 3))
     for i in prange(points.shape[0]):
-        out[i, 0], out[i, 1], out[i, 2] = _foot(points[i], corners[i])
+        v, w = _foot(points[i], corners[i])
+        out[i, 0] = 1.0 - v - w
+        out[i, 1] = v
+        out[i, 2] = w
     return out
-
-
-def _barycentric(points: NDArray[np.float64], corners: NDArray[np.float64]) -> NDArray[np.float64]:
-    """Weights (N, 3) of points in triangles (N, 3, 3); a corner's where the triangle has no area."""
-    a, b, p = corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0], points - corners[:, 0]
-    aa, ab, bb, pa, pb = ((x * y).sum(axis=1) for x, y in ((a, a), (a, b), (b, b), (p, a), (p, b)))
-    under = aa * bb - ab * ab
-    flat = under <= 1e-14 * aa * bb
-    with np.errstate(invalid="ignore", divide="ignore"):
-        v = np.where(flat, 0.0, (bb * pa - ab * pb) / under)
-        w = np.where(flat, 0.0, (aa * pb - ab * pa) / under)
-    weights = np.clip(np.stack([1.0 - v - w, v, w], axis=1), 0.0, 1.0)
-    return weights / weights.sum(axis=1, keepdims=True)
