@@ -33,15 +33,17 @@ def spread_out(
     if count == 0:
         return free[:0]
     tree = cKDTree(points)
-    _, around = tree.query(points, k=min(CROWDING + 1, len(points)), workers=-1)
-    one = np.repeat(np.arange(len(points)), around.shape[1])
-    other = around.ravel()
-    pairs = np.unique(np.minimum(one, other) * len(points) + np.maximum(one, other))
-    one, other = pairs // len(points), pairs % len(points)
-    apart = np.linalg.norm(points[one] - points[other], axis=1)
-    share = apart / np.maximum(radii[one] + radii[other], 1e-300)
-    near = (share < 1.0) & (one != other) & ~(held[one] & held[other])
-    one, other, weight = one[near], other[near], (1.0 - share[near]) ** EXPONENT
+    apart, around = tree.query(points, k=min(CROWDING + 1, len(points)), workers=-1)
+    share = apart / np.maximum(radii[:, None] + radii[around], 1e-300)
+    one, place = np.nonzero((share < 1.0) & (around != np.arange(len(points))[:, None]))
+    other, weight = around[one, place], (1.0 - share[one, place]) ** EXPONENT
+    free_pair = ~(held[one] & held[other])
+    one, other, weight = one[free_pair], other[free_pair], weight[free_pair]
+    # Each pair once, whichever of the two has the other among its nearest.
+    pairs = np.minimum(one, other) * len(points) + np.maximum(one, other)
+    order = np.argsort(pairs, kind="stable")
+    once = order[np.diff(pairs[order], prepend=-1) > 0]
+    one, other, weight = one[once], other[once], weight[once]
     ends = np.concatenate([one, other])
     order = np.argsort(ends, kind="stable")
     starts = np.searchsorted(ends[order], np.arange(len(points) + 1))
