@@ -93,22 +93,35 @@ def resampled(
     return _densified(groom, guides, scalp, new, head, refused, notes)
 
 
-def new_roots(scalp: Scalp, allowed: NDArray[np.bool_], count: int, factor: float, seed: int) -> Roots:
+def new_roots(
+    scalp: Scalp,
+    allowed: NDArray[np.bool_],
+    count: int,
+    factor: float,
+    seed: int,
+    corners: NDArray[np.bool_] | None = None,
+) -> Roots:
     """Blue-noise roots in the allowed triangles (T,), each with its share by the roots that it has already.
 
-    factor: of all roots to the old ones, from which follows how far apart they should lie.
+    factor: of all roots to the old ones, from which follows how far apart they should lie. corners: triangles (T,) of
+    which only the thirds next to their corners are used, and what is between stays bare.
     """
-    triangles = np.flatnonzero(allowed & (scalp.mass > 0.0))
+    narrow = np.zeros(len(allowed), dtype=np.bool_) if corners is None else corners
+    mass = np.where(narrow, scalp.mass / 3.0, scalp.mass)
+    triangles = np.flatnonzero(allowed & (mass > 0.0))
     if count <= 0 or len(triangles) == 0:
         return Roots(np.zeros((0, 3)), np.zeros(0, dtype=np.int64), np.zeros((0, 3)))
     rng = np.random.default_rng([seed, 0])
-    ends = np.cumsum(scalp.mass[triangles])
+    ends = np.cumsum(mass[triangles])
     tries = ceil(CANDIDATES * count)
     # Even steps through the triangles' shares, shifted at random: no triangle gets more or less by chance.
     at = np.minimum(np.searchsorted(ends, (np.arange(tries) + rng.random(tries)) * (ends[-1] / tries)), len(ends) - 1)
     triangle = triangles[at]
     across, down = np.sqrt(rng.random(tries)), rng.random(tries)
     weights = np.stack([1.0 - across, across * (1.0 - down), across * down], axis=1)
+    # A third as long and wide, a corner's piece holds a ninth of its triangle.
+    near = np.eye(3)[weights.argmax(axis=1)]
+    weights = np.where(narrow[triangle][:, None], (2.0 * near + weights) / 3.0, weights)
     candidates = scalp.at(triangle, weights)
     area = scalp.area_per_root()
     own = np.einsum("nk,nk->n", weights, area[scalp.triangles[triangle]])

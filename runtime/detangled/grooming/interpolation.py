@@ -44,7 +44,7 @@ def _carry(out: NDArray[np.float64], a: NDArray[np.float64], b: NDArray[np.float
 
 
 @kernel
-def _mean_normal(normals: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
+def mean_normal(normals: NDArray[np.float64], weights: NDArray[np.float64]) -> tuple[NDArray, NDArray]:
     """Normals (k, 3) turned to one side, and their weighted mean (3,), of unit length."""
     turned = normals.copy()
     mean = np.zeros(3)
@@ -54,6 +54,24 @@ def _mean_normal(normals: NDArray[np.float64], weights: NDArray[np.float64]) -> 
         mean += weights[k] * turned[k]
     size = np.sqrt((mean * mean).sum())
     return turned, mean / size if size > 1e-9 else turned[0].copy()
+
+
+@kernel
+def add_carried(
+    directions: NDArray[np.float64], strand: NDArray[np.float64], weight: float, a: NDArray, b: NDArray
+) -> None:
+    """Add to ``directions`` (n - 1, 3) those of a strand's segments (n, 3), turned as unit vector a is into b."""
+    step = np.empty(3)
+    carried = np.empty(3)
+    for i in range(strand.shape[0] - 1):
+        size = 0.0
+        for c in range(3):
+            step[c] = strand[i + 1, c] - strand[i, c]
+            size += step[c] * step[c]
+        _carry(carried, a, b, step)
+        share = weight / max(np.sqrt(size), 1e-300)
+        for c in range(3):
+            directions[i, c] += share * carried[c]
 
 
 @kernel
@@ -70,26 +88,14 @@ def _between(
     around = np.empty((parents.shape[0], 3))
     for k in range(parents.shape[0]):
         around[k] = normals[parents[k]]
-    turned, normal = _mean_normal(around, weights)
+    turned, normal = mean_normal(around, weights)
     directions = np.zeros((n - 1, 3))
     length = 0.0
-    step = np.empty(3)
-    carried = np.empty(3)
     for k in range(parents.shape[0]):
-        if weights[k] == 0.0:
-            continue
-        even = resample_strand(distinct_points(points[offsets[parents[k]] : offsets[parents[k] + 1]]), n)
-        own = chord_lengths(even)[n - 1]
-        length += weights[k] * own
-        for i in range(n - 1):
-            size = 0.0
-            for c in range(3):
-                step[c] = even[i + 1, c] - even[i, c]
-                size += step[c] * step[c]
-            _carry(carried, turned[k], normal, step)
-            share = weights[k] / max(np.sqrt(size), 1e-300)
-            for c in range(3):
-                directions[i, c] += share * carried[c]
+        if weights[k] > 0.0:
+            even = resample_strand(distinct_points(points[offsets[parents[k]] : offsets[parents[k] + 1]]), n)
+            length += weights[k] * chord_lengths(even)[n - 1]
+            add_carried(directions, even, weights[k], turned[k], normal)
     for i in range(n - 1):
         size = max(np.sqrt((directions[i] ** 2).sum()), 1e-9)
         for c in range(3):
