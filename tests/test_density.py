@@ -11,6 +11,7 @@ import pytest
 import trimesh
 from numpy.typing import NDArray
 from scipy.spatial import Delaunay, cKDTree
+from scipy.spatial.transform import Rotation
 
 from detangled.errors import DetangledError
 from detangled.formats import read
@@ -178,6 +179,20 @@ def test_guides_on_a_sphere_are_carried_along_it() -> None:
     tips = points[:, 0] + 5.0 * (np.sin(0.8) * up + (1.0 - np.cos(0.8)) * wanted)
     assert np.linalg.norm(points[:, -1] - tips, axis=1).max() < 0.5
     np.testing.assert_allclose(np.linalg.norm(points[:, 0], axis=1), 9.0, atol=0.12)
+
+
+def test_directions_turn_with_the_scalp() -> None:
+    """One guide, carried from the middle to three places far around a sphere, is itself again when carried back."""
+    angles = 2.0 * np.pi * np.arange(3) / 3.0
+    tilt = np.radians(50.0)
+    normals = np.stack([np.sin(tilt) * np.cos(angles), np.sin(tilt) * np.sin(angles), np.full(3, np.cos(tilt))], axis=1)
+    middle = np.array([0.6, 0.0, 0.8])
+    turns = [Rotation.from_rotvec(tilt * np.array([-np.sin(a), np.cos(a), 0.0])) for a in angles]
+    groom = combed(9.0 * normals, np.stack([turn.apply(middle) for turn in turns]))
+    scalp = replace(scalp_of(9.0 * normals), normals=normals * [[1.0], [-1.0], [1.0]])
+    weights = np.full((1, 3), 1 / 3)
+    made = interpolated(groom, scalp, np.array([[0, 1, 2]]), weights, np.zeros((1, 3)), np.array([12]))
+    np.testing.assert_allclose(made[-1], 10.0 * middle, atol=1e-9)
 
 
 def test_mixed_guides_do_not_get_shorter_where_neighbours_point_apart() -> None:
@@ -355,7 +370,7 @@ def test_a_head_elsewhere_or_without_faces_is_refused() -> None:
         denser(groom, 2.0, plane_head(50.0))
     with pytest.raises(DetangledError, match="no faces"):
         denser(groom, 2.0, Head(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int64)))
-    assert "off the head" in denser(groom, 2.0, plane_head(0.5)).notes[0]
+    assert "off the head" in denser(groom, 2.0, plane_head(1.2)).notes[0]
 
 
 def test_a_head_in_metres_is_called_so() -> None:

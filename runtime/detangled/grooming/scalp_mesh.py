@@ -17,7 +17,7 @@ from detangled.kernels import kernel, parallel_kernel, prange
 from detangled.units import CM_PER_UNIT
 
 FAR = 1.5  # [cm] from the roots to the head, in the median: then it is not theirs
-OFF = 0.3  # [cm]: what a root may float above its head, or lie under its skin, without a word
+OFF = 1.0  # [cm]: what a root may float above its head, or lie under its skin, without a word; real ones do by 0.4
 # Faces larger than so many medians are searched by pieces: a few huge ones would widen every search.
 LARGE = 3.0
 MOST_PIECES = 2_000_000
