@@ -1,0 +1,86 @@
+"""How much denser or sparser style guides must be to carry another texture.
+
+Paper section "Style guide resampling": the radii of input and target in canonical space are mean distances from the
+z-axis, values beyond three standard deviations left out; the square of their ratio is the change of density, as of
+circles packed on the scalp.
+
+A straight strand is its own guide and has radius 0, by which formula any straight hair would have to be thinned to
+nothing. But a guide without curl stands for a wisp, and that is as wide as the place it has to itself: half of the
+distance to its neighbours, were they packed hexagonally. So that is a straight strand's radius here.
+"""
+
+from __future__ import annotations
+
+from dataclasses import dataclass
+from math import inf
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.errors import DetangledError
+from detangled.geometry.winding import winding
+from detangled.grooming.guides import StyleGuides
+from detangled.grooming.scalp import Scalp, scalp_of
+
+STRAIGHT_RADIUS = 0.01  # [cm] about a hair's width: nobody sees such a curl, and a guide does not have it
+OUTLIER_DEVIATIONS = 3.0
+# Tightest of the eight types from the widest is 28 times denser; beyond this the radii are not what they seem.
+MOST_FACTOR = 32.0
+
+
+@dataclass(frozen=True)
+class DensityChange:
+    """By which factor the density of guides is to change, from which radii [cm], and what there is to say of it.
+
+    straight: the share of the input's strands that have no curl, whose radius is half of their spacing.
+    """
+
+    factor: float
+    input_radius: float
+    target_radius: float
+    straight: float
+    notes: tuple[str, ...] = ()
+
+
+def without_outliers(values: NDArray[np.float64]) -> float:
+    """The mean of values (N,), those beyond three standard deviations left out; 0 for none."""
+    if len(values) == 0:
+        return 0.0
+    near = np.abs(values - values.mean()) <= OUTLIER_DEVIATIONS * values.std() + 1e-12
+    return float(values[near].mean())
+
+
+def input_radius(guides: StyleGuides, scalp: Scalp | None = None) -> tuple[float, float]:
+    """Radius [cm] of a groom's strands in canonical space, and the share of them that are straight."""
+    radius, _ = winding(guides.canonical(), guides.groom.offsets)
+    straight = radius < STRAIGHT_RADIUS
+    if straight.any():
+        scalp = scalp or scalp_of(guides.groom.points[guides.groom.offsets[:-1]])
+        radius = np.where(straight, scalp.packing_radius(), radius)
+    return without_outliers(radius), float(straight.mean()) if len(straight) else 0.0
+
+
+def density_change(guides: StyleGuides, target_radius: float, scalp: Scalp | None = None) -> DensityChange:
+    """The change of density that a texture of radius ``target_radius`` [cm] needs on these guides."""
+    own, straight = input_radius(guides, scalp)
+    if target_radius < STRAIGHT_RADIUS:
+        return DensityChange(1.0, own, target_radius, straight, ("straight hair needs no other density; it is kept",))
+    if own < STRAIGHT_RADIUS:
+        said = "the input has neither curl nor neighbours to tell its density by; it is kept"
+        return DensityChange(1.0, own, target_radius, straight, (said,))
+    asked = (own / target_radius) ** 2
+    factor = min(max(asked, 1.0 / MOST_FACTOR), MOST_FACTOR)
+    notes = []
+    if factor != asked:
+        notes.append(
+            f"radius {own:.2g} cm to {target_radius:.2g} cm asks for {asked:.3g} times the density; "
+            f"{factor:.3g} times is done: give a factor for more"
+        )
+    return DensityChange(factor, own, target_radius, straight, tuple(notes))
+
+
+def checked_factor(factor: float) -> float:
+    """The factor itself. Raises DetangledError where it is not finite, or not more than zero."""
+    if not 0.0 < factor < inf:
+        raise DetangledError(f"a change of density of {factor:g} is none: give a number above zero, such as 2.5")
+    return float(factor)
