@@ -84,15 +84,18 @@ class UnitType(click.ParamType):
     name = "unit"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from detangled.units import CM_PER_UNIT
+        from detangled.errors import ReadError
+        from detangled.units import cm_per_unit
 
-        if value not in CM_PER_UNIT:
-            self.fail(f"{value!r} is not a unit: use one of {', '.join(CM_PER_UNIT)}", param, ctx)
+        try:
+            cm_per_unit(str(value))
+        except ReadError as error:
+            self.fail(str(error), param, ctx)
         return str(value)
 
 
 UNIT = UnitType()
-UNIT_NAMES = "mm, cm, dm, m or in"
+UNIT_NAMES = "mm, cm, dm, m, in, or as 2.5mm"
 
 
 def input_argument(command: Command) -> Command:

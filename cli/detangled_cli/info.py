@@ -42,11 +42,12 @@ def command(source: Path, as_json: bool, unit: str | None) -> None:
     \b
     Example:
       detangled info groom.abc
-      detangled info groom.abc --unit m --json
+      detangled info groom.usdc --json
     """
-    from detangled.formats import read
+    from detangled.formats import format_name, read
 
-    facts = {"file": str(source), **describe(read(source, unit=unit))}
+    groom = read(source, unit=unit)
+    facts = {"file": str(source), "format": format_name(source), **describe(groom)}
     click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else as_text(facts))
 
 
@@ -87,6 +88,7 @@ def describe(groom: Groom) -> dict[str, Any]:
 def as_text(facts: dict[str, Any]) -> str:
     """The facts of ``describe``, and the file, for a person."""
     rows = [
+        ("format", facts["format"]),
         ("strands", f"{facts['strands']:,}"),
         ("points", f"{facts['points']:,}{_range(facts['points_per_strand'], ',.0f', '', ', a strand ')}"),
         ("length", _range(facts["length_cm"], ".2f", " cm") or "none to measure"),
@@ -96,7 +98,7 @@ def as_text(facts: dict[str, Any]) -> str:
         ("objects", ", ".join(facts["objects"]) or "none"),
     ]
     if facts["unusable_strands"]:
-        rows.insert(1, ("unusable", f"{facts['unusable_strands']:,} ({UNUSABLE})"))
+        rows.insert(2, ("unusable", f"{facts['unusable_strands']:,} ({UNUSABLE})"))
     lines = [facts["file"], *(f"  {name:<10}  {text}" for name, text in rows)]
     lines.append(f"  {'attributes':<10}  {'' if facts['attributes'] else 'none'}".rstrip())
     width = max(map(len, facts["attributes"]), default=0)
