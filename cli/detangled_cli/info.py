@@ -88,7 +88,6 @@ def describe(groom: Groom) -> dict[str, Any]:
 def as_text(facts: dict[str, Any]) -> str:
     """The facts of ``describe``, and the file, for a person."""
     rows = [
-        ("format", facts["format"]),
         ("strands", f"{facts['strands']:,}"),
         ("points", f"{facts['points']:,}{_range(facts['points_per_strand'], ',.0f', '', ', a strand ')}"),
         ("length", _range(facts["length_cm"], ".2f", " cm") or "none to measure"),
@@ -98,7 +97,9 @@ def as_text(facts: dict[str, Any]) -> str:
         ("objects", ", ".join(facts["objects"]) or "none"),
     ]
     if facts["unusable_strands"]:
-        rows.insert(2, ("unusable", f"{facts['unusable_strands']:,} ({UNUSABLE})"))
+        rows.insert(1, ("unusable", f"{facts['unusable_strands']:,} ({UNUSABLE})"))
+    if "format" in facts:
+        rows.insert(0, ("format", facts["format"]))
     lines = [facts["file"], *(f"  {name:<10}  {text}" for name, text in rows)]
     lines.append(f"  {'attributes':<10}  {'' if facts['attributes'] else 'none'}".rstrip())
     width = max(map(len, facts["attributes"]), default=0)

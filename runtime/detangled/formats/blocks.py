@@ -22,7 +22,7 @@ class Blocks:
         return len(self.bytes)
 
     def take(self, what: str, at: int, count: int, dtype: DTypeLike) -> NDArray[Any]:
-        """The ``count`` values that begin at a byte, (count,), a view.
+        """The ``count`` values that begin at a byte, (count,): a view, or a copy where they begin at an odd one.
 
         Raises ReadError, before any memory is asked for, where they would lead beyond the end of the file.
         """
@@ -33,7 +33,8 @@ class Blocks:
                 f"{self.path}: damaged or cut short: by its header {what} reach to byte {end:,}, "
                 f"the file has {len(self.bytes):,}"
             )
-        return self.bytes[at:end].view(dtype)
+        # Not everything that takes arrays takes those whose numbers straddle words.
+        return np.require(self.bytes[at:end].view(dtype), requirements="A")
 
 
 def as_float32(values: NDArray[Any]) -> NDArray[np.float32]:

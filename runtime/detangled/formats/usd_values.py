@@ -67,6 +67,7 @@ def stored(name: str, values: NDArray[Any]) -> tuple[Any, Any, int] | None:
     plain = _storable(values)
     if plain is None:
         return None
+    plain = bare(plain)
     size = int(np.prod(plain.shape[1:], dtype=int))
     if size == 0:
         return None
@@ -74,17 +75,22 @@ def stored(name: str, values: NDArray[Any]) -> tuple[Any, Any, int] | None:
         return Sdf.ValueTypeNames.StringArray, Vt.StringArray(plain.ravel().tolist()), size
     code = f"{plain.dtype.kind}{plain.dtype.itemsize}"
     if plain.shape[1:] == (4, 4) and code == "f8":
-        return Sdf.ValueTypeNames.Matrix4dArray, Vt.Matrix4dArray.FromNumpy(np.ascontiguousarray(plain)), 1
+        return Sdf.ValueTypeNames.Matrix4dArray, Vt.Matrix4dArray.FromNumpy(plain), 1
     if plain.ndim == 2 and 2 <= size <= 4 and code in _VECTORS:
         short = {"i4": "i", "f2": "h", "f4": "f", "f8": "d"}[code]
-        array = getattr(Vt, f"Vec{size}{short}Array").FromNumpy(np.ascontiguousarray(plain))
+        array = getattr(Vt, f"Vec{size}{short}Array").FromNumpy(plain)
         return getattr(Sdf.ValueTypeNames, f"{_role(name, code, size)}Array"), array, 1
-    flat = np.ascontiguousarray(plain).ravel()
+    flat = plain.ravel()
     return (
         getattr(Sdf.ValueTypeNames, f"{_NAMES[code]}Array"),
         getattr(Vt, f"{_NAMES[code]}Array").FromNumpy(flat),
         size,
     )
+
+
+def bare(values: NDArray[Any]) -> NDArray[Any]:
+    """The values in the machine's own byte order, one after another and in step with its words, as USD takes them."""
+    return np.require(values, dtype=values.dtype.newbyteorder("="), requirements="CA")
 
 
 def _role(name: str, code: str, size: int) -> str:

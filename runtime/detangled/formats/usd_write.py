@@ -6,13 +6,12 @@ from pathlib import Path
 from typing import Any
 
 import numpy as np
-from numpy.typing import NDArray
 from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 
 from detangled.errors import WriteError
 from detangled.formats import objects
 from detangled.formats.blocks import as_float32
-from detangled.formats.usd_values import BINDING_ERRORS, INTERPOLATIONS, complaints, stored
+from detangled.formats.usd_values import BINDING_ERRORS, INTERPOLATIONS, bare, complaints, stored
 from detangled.groom import Attribute, Groom, Scope
 
 ROOT = "groom"
@@ -85,7 +84,7 @@ def _fill_schema(curves: Any, name: str, attribute: Attribute) -> bool:
         curves.CreateWidthsAttr(Vt.FloatArray.FromNumpy(as_float32(values)))
         curves.SetWidthsInterpolation(INTERPOLATIONS[attribute.scope])
     elif name == "N" and values.shape[1:] == (3,) and values.dtype == np.float32:
-        curves.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(_plain(values)))
+        curves.CreateNormalsAttr(Vt.Vec3fArray.FromNumpy(bare(values)))
         curves.SetNormalsInterpolation(INTERPOLATIONS[attribute.scope])
     elif name == "velocities" and values.shape[1:] == (3,) and attribute.scope is Scope.POINT:
         curves.CreateVelocitiesAttr(Vt.Vec3fArray.FromNumpy(as_float32(values)))
@@ -121,7 +120,3 @@ def _valid(name: str, taken: set[str]) -> str:
         unique = f"{valid}_{number}"
     taken.add(unique)
     return unique
-
-
-def _plain(values: NDArray[Any]) -> NDArray[Any]:
-    return np.ascontiguousarray(values)
