@@ -95,7 +95,7 @@ class UnitType(click.ParamType):
 
 
 UNIT = UnitType()
-UNIT_NAMES = "mm, cm, dm, m, in, or as 2.5mm"
+UNIT_NAMES = "mm, cm, dm, m or in"
 
 
 def input_argument(command: Command) -> Command:
@@ -139,7 +139,7 @@ def unit_option(command: Command) -> Command:
         "--unit",
         type=UNIT,
         metavar="U",
-        help=f"Unit of IN: {UNIT_NAMES}. Default: what the file says, else a guess from its size.",
+        help=f"Unit of IN: {UNIT_NAMES}, or 2.5mm. Default: what the file says, else a guess from its size.",
     )(command)
 
 

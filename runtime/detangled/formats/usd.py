@@ -8,6 +8,7 @@ is done to strands here draws a curve through their points again.
 
 from __future__ import annotations
 
+import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -39,6 +40,8 @@ _SCOPES = {
 _VARYING = (UsdGeom.Tokens.varying, UsdGeom.Tokens.faceVarying)
 # A length in the file is rounded where metres per unit are: 0.0254 m are 2.54 cm.
 DIGITS = 12
+_ORIGIN = re.compile(r"(Error|Warning|Runtime Error|Coding Error) in '[^']*' at line \d+ in file \S+ : ")
+LONGEST_SAID = 300
 
 
 def read(path: Path) -> Groom:
@@ -66,8 +69,24 @@ def _stage(path: Path) -> Any:
     layer = Sdf.Layer.OpenAsAnonymous(str(path))
     if layer is None:
         return None
+    _check_children(path, layer)
     # Paths of files beside it are relative to its own: then only its path will do.
     return Usd.Stage.Open(str(path) if layer.GetCompositionAssetDependencies() else layer)
+
+
+def _check_children(path: Path, layer: Any) -> None:
+    """Raise ReadError where a layer names children that it does not hold, on which USD would end the process."""
+    waiting = [Sdf.Path.absoluteRootPath]
+    while waiting:
+        at = waiting.pop()
+        spec = layer.GetPrimAtPath(at) if at != Sdf.Path.absoluteRootPath else layer.pseudoRoot
+        for kind, below in (("primChildren", at.AppendChild), ("properties", at.AppendProperty)):
+            for name in spec.GetInfo(kind):
+                child = below(name) if Sdf.Path.IsValidNamespacedIdentifier(name) else None
+                if child is None or not layer.GetObjectAtPath(child):
+                    raise ReadError(f"{path}: damaged: {at} names {name!r}, which the file does not hold")
+                if kind == "primChildren":
+                    waiting.append(child)
 
 
 def _read_stage(path: Path, stage: Any) -> Groom:
@@ -94,7 +113,8 @@ def _read_stage(path: Path, stage: Any) -> Groom:
 
 def _read_curves(path: Path, curves: Any, matrix: Array) -> Part:
     prim = curves.GetPrim()
-    name = prim.GetCustomDataByKey(NAME_KEY) or prim.GetName()
+    told = prim.GetCustomDataByKey(NAME_KEY)
+    name = prim.GetName() if told is None else str(told)
     notes = []
     samples = max(curves.GetPointsAttr().GetNumTimeSamples(), 0)
     if samples > 1:
@@ -173,7 +193,8 @@ def _values(curves: Any, name: str, notes: list[str]) -> Any:
                 yield key, interpolation, values
     for key, primvar in primvars.items():
         if primvar.HasAuthoredValue():
-            yield from _primvar(primvar.GetAttr().GetCustomDataByKey(NAME_KEY) or key, primvar, name, notes)
+            told = primvar.GetAttr().GetCustomDataByKey(NAME_KEY)
+            yield from _primvar(key if told is None else str(told), primvar, name, notes)
 
 
 def _primvar(key: str, primvar: Any, name: str, notes: list[str]) -> Any:
@@ -282,7 +303,9 @@ def _between_ends(
 
 
 def _one_line(text: str) -> str:
-    return " ".join(text.split())[:300]
+    """What USD says, without where in its own sources it says it."""
+    plain = " ".join(_ORIGIN.sub("", " ".join(text.split())).split())
+    return plain if len(plain) <= LONGEST_SAID else plain[:LONGEST_SAID] + " ..."
 
 
 register((".usd", ".usda", ".usdc"), read, write)

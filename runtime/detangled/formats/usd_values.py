@@ -90,7 +90,7 @@ def stored(name: str, values: NDArray[Any]) -> tuple[Any, Any, int] | None:
 
 def bare(values: NDArray[Any]) -> NDArray[Any]:
     """The values in the machine's own byte order, one after another and in step with its words, as USD takes them."""
-    return np.require(values, dtype=values.dtype.newbyteorder("="), requirements="CA")
+    return np.require(values, dtype=values.dtype.newbyteorder("="), requirements=["C", "A"])
 
 
 def _role(name: str, code: str, size: int) -> str:
