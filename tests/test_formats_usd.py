@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import struct
 import subprocess
 import sys
 from collections.abc import Callable
@@ -16,6 +17,7 @@ from scipy.interpolate import BSpline
 from detangled import formats
 from detangled.errors import ReadError, WriteError
 from detangled.formats.curve_bases import SAMPLES_PER_SPAN
+from detangled.formats.usd_check import _unpacked
 from detangled.groom import Attribute, Groom, Scope
 
 pxr: Any = pytest.importorskip("pxr", reason="needs usd-core: pip install 'detangled[usd]'")
@@ -371,6 +373,27 @@ def test_damaged_crates_are_refused(tmp_path: Path) -> None:
     refused, total = map(int, result.stdout.split()[:2])
     assert refused == total
     assert "whole" in result.stdout
+
+
+def test_a_list_that_leads_beyond_the_end_is_refused_before_memory_is_asked_for(tmp_path: Path) -> None:
+    formats.write(Groom.from_strands([np.eye(3)]), tmp_path / "a.usdc")
+    whole = (tmp_path / "a.usdc").read_bytes()
+    # The root's one child: a list of one name.
+    at = whole.index(struct.pack("<Q", 1), 88)
+    (tmp_path / "b.usdc").write_bytes(whole[:at] + struct.pack("<Q", 1 << 40) + whole[at + 8 :])
+    with pytest.raises(ReadError, match=f"the list at byte {at} reaches"):
+        formats.read(tmp_path / "b.usdc")
+
+
+def test_lz4_blocks_are_unpacked() -> None:
+    # Of the published format: literals, a repeat that runs into itself, a long run of literals and of repeats.
+    assert _unpacked(b"\x31abc\x03\x00\x10d", 9) == b"abcabcabd"
+    literals = bytes(range(200)) + bytes(range(100))
+    block = b"\xff" + b"\xff\x1e" + literals + b"\x01\x00" + b"\xff\x00" + b"\x10!"
+    assert _unpacked(block, 300 + 274 + 1) == literals + literals[-1:] * 274 + b"!"
+    for wrong in (b"\x11a\x02\x00\x10b", b"\x11a\x00\x00\x10b", b"\x10a"):
+        with pytest.raises(ValueError, match="LZ4"):
+            _unpacked(wrong, 7)
 
 
 def test_without_usd_core_one_sentence_says_how_to_get_it(tmp_path: Path) -> None:

@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from pxr import Sdf, Usd, UsdGeom
 
 from detangled.errors import ReadError
-from detangled.formats import register
+from detangled.formats import register, usd_check
 from detangled.formats.curve_bases import CUBIC_ORDER, SAMPLES_PER_SPAN, SmoothCurves
 from detangled.formats.merge import Part, merged
 from detangled.formats.transforms import to_world
@@ -53,6 +53,7 @@ def read(path: Path) -> Groom:
         begin = file.read(8)
     if not begin.startswith(MAGICS):
         raise ReadError(f"{path}: no USD file: it begins with neither 'PXR-USDC' nor '#usda'")
+    usd_check.check(path)
     try:
         with complaints() as said:
             stage = _stage(path)
