@@ -103,6 +103,22 @@ def test_usd_core_reads_what_we_write(tmp_path: Path, suffix: str, up: str) -> N
     np.testing.assert_array_equal(extent, np.array(UsdGeom.PointBased.ComputeExtent(curves.GetPointsAttr().Get())))
 
 
+@pytest.mark.parametrize(
+    ("scope", "interpolation"), [(Scope.GROOM, T.constant), (Scope.STRAND, T.uniform), (Scope.POINT, T.vertex)]
+)
+def test_scopes_are_interpolations(tmp_path: Path, scope: Scope, interpolation: str) -> None:
+    count = {Scope.GROOM: 1, Scope.STRAND: 2, Scope.POINT: 6}[scope]
+    attributes = {
+        "width": Attribute(np.ones(count), scope),
+        "N": Attribute(np.ones((count, 3), dtype=np.float32), scope),
+    }
+    formats.write(Groom.from_strands([np.eye(3)] * 2, attributes=attributes), tmp_path / "a.usdc")
+    stage = Usd.Stage.Open(str(tmp_path / "a.usdc"))
+    curves = UsdGeom.BasisCurves(stage.GetPrimAtPath("/groom/hair"))
+    assert (curves.GetWidthsInterpolation(), curves.GetNormalsInterpolation()) == (interpolation, interpolation)
+    assert {a.scope for a in formats.read(tmp_path / "a.usdc").attributes.values()} == {scope}
+
+
 def test_names_that_usd_cannot_take_come_back(tmp_path: Path) -> None:
     names = ("UV Map", ".select", "größe", "1st", "a:b c", "x.y", "x y", "indices")
     attributes = {name: Attribute(np.array([float(i)]), Scope.GROOM) for i, name in enumerate(names)}
@@ -383,6 +399,19 @@ def test_a_list_that_leads_beyond_the_end_is_refused_before_memory_is_asked_for(
     (tmp_path / "b.usdc").write_bytes(whole[:at] + struct.pack("<Q", 1 << 40) + whole[at + 8 :])
     with pytest.raises(ReadError, match=f"the list at byte {at} reaches"):
         formats.read(tmp_path / "b.usdc")
+
+
+def test_a_child_that_is_named_and_not_there_is_refused(tmp_path: Path) -> None:
+    formats.write(Groom.from_strands([np.eye(3)]), tmp_path / "a.usdc")
+    whole = (tmp_path / "a.usdc").read_bytes()
+    at = whole.index(struct.pack("<Q", 1), 88) + 8
+    named = struct.unpack_from("<I", whole, at)[0]
+    (tmp_path / "b.usdc").write_bytes(whole[:at] + struct.pack("<I", named - 1) + whole[at + 4 :])
+    # In a process of its own, since USD would end it.
+    words = [sys.executable, "-m", "detangled_cli.main", "info", str(tmp_path / "b.usdc")]
+    result = subprocess.run(words, capture_output=True, text=True, check=False)
+    assert result.returncode == 3
+    assert "which the file does not hold" in result.stderr
 
 
 def test_lz4_blocks_are_unpacked() -> None:
