@@ -42,6 +42,8 @@ _VARYING = (UsdGeom.Tokens.varying, UsdGeom.Tokens.faceVarying)
 DIGITS = 12
 _ORIGIN = re.compile(r"(Error|Warning|Runtime Error|Coding Error) in '[^']*' at line \d+ in file \S+ : ")
 LONGEST_SAID = 300
+# A film set holds thousands of other things.
+MOST_NAMED = 5
 
 
 def read(path: Path) -> Groom:
@@ -100,8 +102,9 @@ def _read_stage(path: Path, stage: Any) -> Groom:
         elif prim.IsA(UsdGeom.Gprim):
             others.append(prim.GetName())
     if not parts:
-        raise ReadError(f"{path}: holds no BasisCurves{', only ' if others else ''}{', '.join(others)}")
-    notes = [f"skipped what is not curves: {', '.join(others)}"] if others else []
+        raise ReadError(f"{path}: holds no BasisCurves{', only ' if others else ''}{', '.join(others[:MOST_NAMED])}")
+    more = f" and {len(others) - MOST_NAMED} more" if len(others) > MOST_NAMED else ""
+    notes = [f"skipped what is not curves: {', '.join(others[:MOST_NAMED])}{more}"] if others else []
     up = UsdGeom.GetStageUpAxis(stage).lower()
     groom = merged(parts, up=up, notes=tuple(notes))
     metres = UsdGeom.GetStageMetersPerUnit(stage)
