@@ -50,17 +50,18 @@ def turned(groom: Groom, up: str) -> Groom:
     """
     if check_axis(up) == groom.up:
         return groom
-    rotation = turn_between(groom.up, up)
     attributes = {
-        name: Attribute(_turned(a.values, rotation), a.scope)
+        name: Attribute(turned_vectors(a.values, groom.up, up), a.scope)
         if name in DIRECTIONS | PLACES and a.values.dtype.kind == "f" and a.values.shape[1:] == (3,)
         else a
         for name, a in groom.attributes.items()
     }
-    return replace(groom, points=_turned(groom.points, rotation), attributes=attributes, up=up)
+    return replace(groom, points=turned_vectors(groom.points, groom.up, up), attributes=attributes, up=up)
 
 
-def _turned(vectors: NDArray[Any], rotation: NDArray[np.float64]) -> NDArray[Any]:
+def turned_vectors(vectors: NDArray[Any], up: str, wanted: str) -> NDArray[Any]:
+    """Points or directions (n, 3) turned as ``turn_between`` turns them, to the bit."""
+    rotation = turn_between(up, wanted)
     # Picked and negated rather than multiplied: a product with zeros would spread what is not finite.
     source = np.argmax(np.abs(rotation), axis=1)
     signs = rotation[np.arange(3), source].astype(vectors.dtype)
