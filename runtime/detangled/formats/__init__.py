@@ -22,7 +22,7 @@ from detangled.units import cm_per_unit, guess_unit
 Reader = Callable[[Path], Groom]
 Writer = Callable[[Groom, Path], list[str]]
 
-LENGTH_ATTRIBUTES = ("width",)
+LENGTH_ATTRIBUTES = ("width", "groom_width")
 
 _MODULES = {
     ".abc": "detangled.formats.abc",

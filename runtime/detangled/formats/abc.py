@@ -7,7 +7,7 @@ become polylines. Of several time samples the first is read. Alembic carries nei
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,7 +18,7 @@ from numpy.typing import NDArray
 from detangled.errors import ReadError
 from detangled.formats import abc_check, register
 from detangled.formats.abc_values import BINDING_ERRORS, Value, read_property
-from detangled.formats.abc_write import DEFAULT_UP, write
+from detangled.formats.abc_write import DEFAULT_UP, GROOM_PROPERTIES, write
 from detangled.formats.curve_bases import SmoothCurves
 from detangled.formats.merge import Part, merged
 from detangled.groom import Attribute, Groom, Scope
@@ -43,6 +43,7 @@ class _Scene:
     curves: list[tuple[Any, NDArray[np.float64]]] = field(default_factory=list)
     meshes: list[str] = field(default_factory=list)
     time_samples: int = 1
+    properties: dict[str, Attribute] = field(default_factory=dict)
 
 
 def read(path: Path) -> Groom:
@@ -66,17 +67,28 @@ def read(path: Path) -> Groom:
         notes.append(f"skipped what is not curves: {', '.join(scene.meshes)}")
     if scene.time_samples > 1:
         notes.append(f"{scene.time_samples} time samples, only the first is kept")
-    return merged(parts, up=DEFAULT_UP, notes=tuple(notes))
+    groom = merged(parts, up=_up(scene), notes=tuple(notes))
+    return replace(groom, attributes={**scene.properties, **groom.attributes})
+
+
+def _up(scene: _Scene) -> str:
+    """What is up: y by custom, unless this program wrote the file for Unreal."""
+    tool, about = (scene.properties.get(name) for name in ("groom_tool", "groom_properties"))
+    if tool is None or about is None or not str(tool.values[0]).startswith("detangled "):
+        return DEFAULT_UP
+    return "z" if str(about.values[0]).endswith("z up") else DEFAULT_UP
 
 
 def _collect(top: Any, scene: _Scene) -> None:
     """Find the curves below an object, with the matrix that takes each to the world (row vectors)."""
     waiting = [(top, np.eye(4))]
+    _find_properties(top.getProperties(), scene)
     while waiting:
         thing, matrix = waiting.pop()
         header = thing.getHeader()
         if AbcGeom.IXform.matches(header):
             schema = AbcGeom.IXform(thing.getParent(), thing.getName()).getSchema()
+            _find_properties(schema.getUserProperties(), scene)
             if schema.getNumSamples():
                 scene.time_samples = max(scene.time_samples, schema.getNumSamples())
                 sample = schema.getValue()
@@ -91,6 +103,18 @@ def _collect(top: Any, scene: _Scene) -> None:
             scene.meshes.append(thing.getName())
         # Backwards, since the last one in is the first one out.
         waiting.extend((thing.getChild(i), matrix) for i in reversed(range(thing.getNumChildren())))
+
+
+def _find_properties(compound: Any, scene: _Scene) -> None:
+    """Take over properties of the whole groom from a node above the curves; the first found of a name stays."""
+    if not compound.valid():
+        return
+    for i in range(compound.getNumProperties()):
+        header = compound.getPropertyHeader(i)
+        if header.getName() in GROOM_PROPERTIES and header.getName() not in scene.properties:
+            value = read_property(compound, header)
+            if value is not None and len(value.values) == 1:
+                scene.properties[header.getName()] = Attribute(value.values, Scope.GROOM)
 
 
 def _read_curves(path: Path, curves: Any, matrix: NDArray[np.float64]) -> Part:

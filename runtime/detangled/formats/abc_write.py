@@ -18,6 +18,8 @@ from detangled.formats.abc_values import BINDING_ERRORS, GEOMETRY_SCOPES, filled
 from detangled.groom import Attribute, Groom, Scope
 
 DEFAULT_UP = "y"
+# Properties of a whole groom, which Unreal looks for on its topmost node and takes as single values.
+GROOM_PROPERTIES = ("groom_version_major", "groom_version_minor", "groom_tool", "groom_properties")
 
 
 def write(groom: Groom, path: Path) -> list[str]:
@@ -40,18 +42,43 @@ def write(groom: Groom, path: Path) -> list[str]:
 def _write(groom: Groom, path: Path) -> list[str]:
     owner = objects.owners(groom)
     lost = ["strands were put in the order of their objects"] if np.any(np.diff(owner) < 0) else []
-    if groom.up != DEFAULT_UP:
+    # Unreal, which its version is for, takes what is up from its own settings.
+    if groom.up != DEFAULT_UP and "groom_version_major" not in groom.attributes:
         lost.append(f"{groom.up} stays up, but an Alembic file cannot say so: most programs will take {DEFAULT_UP}")
     archive = Abc.OArchive(str(path))
     names = _node_names(groom.objects)
     several = len(names) > 1
+    whole = _groom_properties(groom)
+    others = {name: a for name, a in objects.other_attributes(groom).items() if name not in whole}
+    _write_properties(archive.getTop().getProperties(), whole)
     for index, name in enumerate(names):
         part = groom.select(np.flatnonzero(owner == index)) if several else groom
         transform = AbcGeom.OXform(archive.getTop(), name)
+        if index == 0 and whole:
+            _write_properties(transform.getSchema().getUserProperties(), whole)
         schema = AbcGeom.OCurves(transform, name).getSchema()
-        lost += _write_curves(part, objects.other_attributes(groom), schema)
+        lost += _write_curves(part, others, schema)
     # One sentence about an attribute, however many objects have it.
     return list(dict.fromkeys(lost))
+
+
+def _groom_properties(groom: Groom) -> dict[str, int | str]:
+    """What there is of GROOM_PROPERTIES, if it is a text or a small whole number."""
+    found: dict[str, int | str] = {}
+    for name in GROOM_PROPERTIES:
+        attribute = groom.attributes.get(name)
+        if attribute is None or attribute.scope is not Scope.GROOM or attribute.values.shape != (1,):
+            continue
+        value = attribute.values[0].item()
+        if isinstance(value, str) or (isinstance(value, int) and abs(value) < 2**15):
+            found[name] = value
+    return found
+
+
+def _write_properties(parent: Any, values: dict[str, int | str]) -> None:
+    for name, value in values.items():
+        kind = Abc.OStringProperty if isinstance(value, str) else Abc.OInt16Property
+        kind(parent, name).setValue(value)
 
 
 def _write_curves(groom: Groom, named: dict[str, Attribute], schema: Any) -> list[str]:
