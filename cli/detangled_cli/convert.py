@@ -1,4 +1,4 @@
-"""detangled convert: a groom in another file format or unit."""
+"""detangled convert: a groom in another file format or unit, or made ready for an engine."""
 
 from __future__ import annotations
 
@@ -10,6 +10,7 @@ import click
 from detangled_cli.console import (
     UNIT,
     UNIT_NAMES,
+    announce_first_run,
     input_argument,
     note,
     output_argument,
@@ -17,33 +18,48 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.presets import preset_option
 
 
 @click.command()
 @input_argument
 @output_argument
+@preset_option()
 @unit_option
 @click.option("--out-unit", type=UNIT, metavar="U", help=f"Unit of OUT: {UNIT_NAMES}. Default: that of IN.")
 @quiet_option
-def command(source: Path, target: Path, unit: str | None, out_unit: str | None) -> None:
-    """Convert a groom to another file format or unit.
+def command(source: Path, target: Path, preset: str | None, unit: str | None, out_unit: str | None) -> None:
+    """Convert a groom to another file format or unit, or make it ready for an engine.
 
-    The suffix of OUT chooses its format. What that format cannot hold is listed on stderr.
+    The suffix of OUT chooses its format. What that format cannot hold is listed on stderr, and so is what a preset
+    changes.
 
     \b
     Example:
       detangled convert groom.abc groom.usda
-      detangled convert groom.abc unreal.abc --out-unit cm
+      detangled convert groom.abc groom_cm.abc --out-unit cm
+      detangled convert groom.abc unreal.abc --preset unreal
     """
-    from detangled.formats import read, write
+    from detangled.formats import check_writable, read, write
     from detangled.units import cm_per_unit, unit_name
     from detangled_cli.info import UNUSABLE, usable_strands
 
+    if preset is not None and out_unit is not None:
+        raise click.UsageError(f"--preset {preset} decides the unit of OUT: leave out --out-unit")
+    check_writable(target)
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
     if out_unit is not None:
         groom = replace(groom, unit_cm=cm_per_unit(out_unit), unit_source="given")
+    if preset is not None:
+        from detangled.presets import preset as prepare
+
+        announce_first_run("fewer_points._points_at")
+        prepared = prepare(groom, preset, suffix=target.suffix.lower())
+        groom = prepared.groom
+        for sentence in prepared.sentences:
+            note(f"{target}: {sentence}")
     for sentence in write(groom, target):
         warn(f"{target}: {sentence}")
     unusable = int((~usable_strands(groom)).sum())

@@ -49,9 +49,7 @@ def fewer_points(points: ArrayLike, offsets: ArrayLike, most: int) -> FewerPoint
 
 def points_at(points: ArrayLike, offsets: ArrayLike, fewer: FewerPoints) -> NDArray[np.float64]:
     """The new points (Q, 3) [cm] of strands (P, 3), on the smooth curve through the old ones."""
-    return _points_at(
-        compiled_input(points, np.float64), compiled_input(offsets, np.int64), fewer.offsets, fewer.at
-    )
+    return _points_at(compiled_input(points, np.float64), compiled_input(offsets, np.int64), fewer.offsets, fewer.at)
 
 
 @kernel

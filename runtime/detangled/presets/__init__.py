@@ -12,6 +12,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.errors import DetangledError
+from detangled.formats import objects
 from detangled.groom import Groom
 from detangled.grooming.fewer_points import FewerPoints, fewer_points, points_at
 from detangled.grooming.guides import attributes_at, usable_strands
@@ -111,8 +112,8 @@ def preset(groom: Groom, name: str, root_uv: NDArray[np.float64] | None = None, 
     dropped = groom.strand_count - len(kept)
     if len(kept) == 0:
         raise DetangledError(
-            f"{engine.title} can use none of the {groom.strand_count} strands: each has fewer than two distinct points, "
-            "a coordinate that is not finite, or is longer than 20 m (is the unit right?)"
+            f"{engine.title} can use none of the {groom.strand_count} strands: each has fewer than two distinct "
+            "points, a coordinate that is not finite, or is longer than 20 m (is the unit right?)"
         )
     if dropped:
         said.append(f"{dropped} strands without two distinct finite points were dropped: {engine.title} takes none")
@@ -138,6 +139,9 @@ def preset(groom: Groom, name: str, root_uv: NDArray[np.float64] | None = None, 
             f"{groom.strand_count:,} strands, {engine.title} takes {engine.most_strands:,}: make fewer, or write them "
             "in several files"
         )
+    if name == BLENDER and suffix == ".abc":
+        groom, more = _widths_alone(groom)
+        said += more
     if engine.settings:
         said.append(engine.settings)
     return Prepared(groom, tuple(said), old_offsets, kept, fewer, turn)
@@ -176,6 +180,16 @@ def _capped(groom: Groom, engine: Engine) -> tuple[Groom, FewerPoints | None, li
         attributes=attributes_at(groom, fewer.offsets, fewer.at),
     )
     return capped, fewer, said
+
+
+def _widths_alone(groom: Groom) -> tuple[Groom, list[str]]:
+    """The groom with no attribute that Blender's Alembic import leaves behind (seen in 4.5): all but widths."""
+    kept = {name: a for name, a in groom.attributes.items() if name in ("width", objects.ATTRIBUTE)}
+    left = groom.attributes.keys() - kept.keys()
+    if not left:
+        return groom, []
+    said = f"attributes left out, since Blender drops them from an .abc: {', '.join(sorted(left))}; .usd keeps them"
+    return replace(groom, attributes=kept), [said]
 
 
 def _split(groom: Groom, engine: Engine) -> tuple[Groom, list[str]]:
