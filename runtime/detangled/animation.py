@@ -1,7 +1,7 @@
 """A texture that goes with a groom through its frames: made once, on the first, and carried by its style guides.
 
 Each point of a styled strand keeps its place in the frame of its guide, the paper's canonical space ("Canonical Space
-& Style Guides"), taken at the same share of the guide; the frame is carried along the guide without twist from the
+& Style Guides"), at the same distance along the guide; the frame is carried along the guide without twist from the
 root, and at the root it follows the scalp. So a curl neither slides along its strand nor turns about it.
 """
 
@@ -16,7 +16,7 @@ from scipy.spatial import cKDTree
 from detangled.errors import ReadError
 from detangled.formats.frames import Frames
 from detangled.groom import Groom
-from detangled.grooming.carrying import bound, carried
+from detangled.grooming.carrying import bound, carried, first_frames
 from detangled.grooming.following import followed_guides, root_rotations, windows
 from detangled.grooming.guides import StyleGuides, style_guides, usable_strands
 
@@ -30,8 +30,9 @@ class Carrier:
 
     rest: the groom as it was, first frame. styled: the groom with its new texture, first frame. guides: style guides
     of the strands of ``rest``. drivers: (S,), which of the guides each styled strand goes with, -1 for none: it goes
-    as the strand of its own number. places: (Q,), each styled point's share of its guide; local: (Q, 3) [cm], where it
-    is in the guide's frame there. reaches: surroundings by which the guides follow.
+    as the strand of its own number. places: (Q,) [cm], where along its guide each styled point is; local: (Q, 3) [cm],
+    where it is in the guide's frame there. roots: (R, 3, 3), frames of the guides at their roots. reaches: (R,),
+    surroundings by which the guides follow.
     """
 
     rest: Groom
@@ -40,6 +41,7 @@ class Carrier:
     drivers: NDArray[np.int64]
     places: NDArray[np.float64]
     local: NDArray[np.float64]
+    roots: NDArray[np.float64]
     reaches: NDArray[np.int64]
 
     def points(self, now: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -64,11 +66,11 @@ class Carrier:
             self.places,
             self.styled.offsets,
             self.drivers,
-            self.guides.points,
+            self.styled.polyline_lengths(),
             guides,
             kept.offsets,
+            self.roots,
             rotations,
-            self.styled.polyline_lengths(),
         )
         return self._seated(out, now)
 
@@ -116,8 +118,16 @@ def carrier(rest: Groom, styled: Groom) -> Carrier:
         roots = cKDTree(guides.groom.points[guides.groom.offsets[:-1]])
         drivers[usable] = roots.query(styled.points[styled.offsets[:-1][usable]])[1]
     places, local = bound(styled.points, styled.offsets, drivers, guides.points, guides.groom.offsets)
-    reaches = windows(guides.groom.points, guides.points, guides.groom.offsets)
-    return Carrier(rest, styled, guides, drivers, places, local, reaches)
+    return Carrier(
+        rest,
+        styled,
+        guides,
+        drivers,
+        places,
+        local,
+        roots=first_frames(guides.points, guides.groom.offsets),
+        reaches=windows(guides.groom.points, guides.points, guides.groom.offsets),
+    )
 
 
 def carried_frames(frames: Frames, styled: Groom) -> Frames:

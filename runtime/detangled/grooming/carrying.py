@@ -62,7 +62,7 @@ def bound(
     guides: NDArray[np.float64],
     guide_offsets: NDArray[np.int64],
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
-    """Each point's share of its guide, (Q,), and where it is in the guide's frame there, (Q, 3) [cm].
+    """Each point's place along its guide, (Q,) [cm], and where it is in the guide's frame there, (Q, 3) [cm].
 
     points: strands (Q, 3) [cm]. drivers: (S,), the guide of each strand; one below 0 has none.
     """
@@ -90,7 +90,8 @@ def bound(
                 if step == MOST_STEPS or abs(there - at) < CLOSE:
                     break
                 at = there
-            places[i] = at / m
+            k, part = _place(at, m)
+            places[i] = along[k] + part * (along[k + 1] - along[k])
             for a in range(3):
                 for c in range(3):
                     local[i, a] += frame[a, c] * away[c]
@@ -125,58 +126,64 @@ def _roll(old: NDArray[np.float64], new: NDArray[np.float64], rotation: NDArray[
 
 
 @parallel_kernel
+def first_frames(guides: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Frames (S, 3, 3) of guides (G, 3) at their roots: rows are the world directions of canonical x, y and z."""
+    out = np.empty((offsets.shape[0] - 1, 3, 3))
+    for s in prange(offsets.shape[0] - 1):
+        dense, _ = dense_guide(guides[offsets[s] : offsets[s + 1]])
+        out[s] = guide_frames(dense[:2])[0]
+    return out
+
+
+@parallel_kernel
 def carried(
     local: NDArray[np.float64],
     places: NDArray[np.float64],
     offsets: NDArray[np.int64],
     drivers: NDArray[np.int64],
-    guides: NDArray[np.float64],
-    now: NDArray[np.float64],
-    guide_offsets: NDArray[np.int64],
-    rotations: NDArray[np.float64],
     lengths: NDArray[np.float64],
+    guides: NDArray[np.float64],
+    guide_offsets: NDArray[np.int64],
+    old_frames: NDArray[np.float64],
+    rotations: NDArray[np.float64],
 ) -> NDArray[np.float64]:
-    """Strands (Q, 3) [cm] that were bound to guides (G, 3), where these are ``now`` (G, 3).
+    """Strands (Q, 3) [cm] that were bound to guides, on these guides as they are now (G, 3).
 
-    rotations: (R, 3, 3), of the guides' roots. lengths: (S,) [cm], of the strands' polylines, which they keep: what
-    bending does to them, some thousandths, is taken back by size. Strands without a guide are 0.
+    old_frames, rotations: (R, 3, 3), of the guides' roots where the strands were bound (``first_frames``), and how the
+    roots turned since. lengths: (S,) [cm], of the strands' polylines, which they keep: what bending does to them, some
+    ten-thousandths, is taken back by their size. Beyond a guide's end strands go on straight; without a guide are 0.
     """
     out = np.zeros((local.shape[0], 3))
     for s in prange(offsets.shape[0] - 1):
         g = drivers[s]
         if g < 0:
             continue
-        rows = slice(guide_offsets[g], guide_offsets[g + 1])
-        dense, _ = dense_guide(guides[rows])
-        old = guide_frames(dense[:2])[0]
-        dense, _ = dense_guide(now[rows])
+        dense, along = dense_guide(guides[guide_offsets[g] : guide_offsets[g + 1]])
         frames = guide_frames(dense)
         m = dense.shape[0] - 1
-        cosine, sine = _roll(old, frames[0], rotations[g])
+        cosine, sine = _roll(old_frames[g], frames[0], rotations[g])
         frame = np.empty((3, 3))
+        k = 0
         length = 0.0
         for i in range(offsets[s], offsets[s + 1]):
-            at = places[i] * m
-            k, part = _place(at, m)
-            _frame(frames, at, m, frame)
+            while k < m - 1 and places[i] > along[k + 1]:
+                k += 1
+            while k > 0 and places[i] < along[k]:
+                k -= 1
+            part = min((places[i] - along[k]) / (along[k + 1] - along[k]), 1.0)
+            _frame(frames, k + part, m, frame)
             x = cosine * local[i, 0] - sine * local[i, 1]
             y = sine * local[i, 0] + cosine * local[i, 1]
+            z = local[i, 2] - max(places[i] - along[m], 0.0)
+            gap = 0.0
             for c in range(3):
-                out[i, c] = (
-                    dense[k, c]
-                    + part * (dense[k + 1, c] - dense[k, c])
-                    + x * frame[0, c]
-                    + y * frame[1, c]
-                    + local[i, 2] * frame[2, c]
-                )
-            if i > offsets[s]:
-                length += np.sqrt(
-                    (out[i, 0] - out[i - 1, 0]) ** 2
-                    + (out[i, 1] - out[i - 1, 1]) ** 2
-                    + (out[i, 2] - out[i - 1, 2]) ** 2
-                )
-        if length > 0.0:
-            for i in range(offsets[s] + 1, offsets[s + 1]):
-                for c in range(3):
-                    out[i, c] = out[offsets[s], c] + (out[i, c] - out[offsets[s], c]) * (lengths[s] / length)
+                on = dense[k, c] + part * (dense[k + 1, c] - dense[k, c])
+                out[i, c] = on + x * frame[0, c] + y * frame[1, c] + z * frame[2, c]
+                if i > offsets[s]:
+                    gap += (out[i, c] - out[i - 1, c]) ** 2
+            length += np.sqrt(gap)
+        root = offsets[s]
+        for i in range(root + 1, offsets[s + 1]):
+            for c in range(3):
+                out[i, c] = out[root, c] + (out[i, c] - out[root, c]) * (lengths[s] / length if length > 0.0 else 1.0)
     return out
