@@ -18,7 +18,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
-from detangled_cli.presets import preset_option
+from detangled_cli.presets import needs_kernels, preset_option, written
 
 
 @click.command()
@@ -40,31 +40,36 @@ def command(source: Path, target: Path, preset: str | None, unit: str | None, ou
       detangled convert groom.abc groom_cm.abc --out-unit cm
       detangled convert groom.abc unreal.abc --preset unreal
     """
-    from detangled.formats import check_writable, read, write
+    from detangled.formats import check_writable
+    from detangled.formats.frames import holds_frames, read_frames
     from detangled.units import cm_per_unit, unit_name
     from detangled_cli.info import UNUSABLE, usable_strands
 
     if preset is not None and out_unit is not None:
         raise click.UsageError(f"--preset {preset} decides the unit of OUT: leave out --out-unit")
     check_writable(target)
-    groom = read(source, unit=unit)
+    frames = read_frames(source, unit=unit)
+    groom = frames.groom
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
     if out_unit is not None:
         groom = replace(groom, unit_cm=cm_per_unit(out_unit), unit_source="given")
+        frames = replace(frames, groom=groom)
     if preset is not None:
-        from detangled.presets import preset as prepare
+        from detangled.presets import prepared_frames
 
-        announce_first_run("fewer_points._points_at")
-        prepared = prepare(groom, preset, suffix=target.suffix.lower())
-        groom = prepared.groom
-        for sentence in prepared.sentences:
+        if needs_kernels(groom, preset):
+            announce_first_run("fewer_points._points_at")
+        frames, sentences = prepared_frames(frames, preset, target.suffix.lower())
+        groom = frames.groom
+        for sentence in sentences:
             note(f"{target}: {sentence}")
-    for sentence in write(groom, target):
+    for sentence in written(frames, target):
         warn(f"{target}: {sentence}")
     unusable = int((~usable_strands(groom)).sum())
     if unusable:
         warn(f"{target}: {unusable:,} of the strands cannot be used as hair ({UNUSABLE})")
     strands = f"{groom.strand_count:,} strand{'' if groom.strand_count == 1 else 's'}"
     points = f"{len(groom.points):,} point{'' if len(groom.points) == 1 else 's'}"
-    note(f"{target}: {strands}, {points}, in {unit_name(groom.unit_cm)}")
+    moving = f", {len(frames)} frames" if len(frames) > 1 and holds_frames(target) else ""
+    note(f"{target}: {strands}, {points}{moving}, in {unit_name(groom.unit_cm)}")

@@ -13,6 +13,7 @@ from numpy.typing import NDArray
 
 from detangled.errors import DetangledError
 from detangled.formats import objects
+from detangled.formats.frames import Frames
 from detangled.groom import Groom
 from detangled.grooming.fewer_points import FewerPoints, fewer_points, points_at
 from detangled.grooming.guides import attributes_at, usable_strands
@@ -145,6 +146,12 @@ def preset(groom: Groom, name: str, root_uv: NDArray[np.float64] | None = None, 
     if engine.settings:
         said.append(engine.settings)
     return Prepared(groom, tuple(said), old_offsets, kept, fewer, turn)
+
+
+def prepared_frames(frames: Frames, name: str, suffix: str = ".abc") -> tuple[Frames, tuple[str, ...]]:
+    """Make a groom that moves ready for an engine, all frames alike, and say what was changed: see ``preset``."""
+    ready = preset(frames.groom, name, suffix=suffix)
+    return frames.mapped(ready.groom, lambda _, points: ready.points(points)), ready.sentences
 
 
 def _wrong_suffix(engine: Engine, suffix: str) -> list[str]:

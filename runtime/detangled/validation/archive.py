@@ -125,17 +125,18 @@ def _properties(parent: Any) -> tuple[Property, ...]:
 def _property(parent: Any, header: Any) -> Property:
     # Alembic takes a parameter that says no scope, as Blender writes them, for a constant one.
     scope = header.getMetaData().get("geoScope") or "con"
+    name = header.getName()
     try:
-        value = read_property(parent, header)
-        values = None if value is None else value.values
+        if header.isArray():
+            # As many elements as an importer sees, whatever the parameter says of how many belong together.
+            values = array_values(parent, name)
+        else:
+            value = read_property(parent, header)
+            values = None if value is None else value.values
     except BINDING_ERRORS:
         values = None
     if header.isCompound():
-        return Property(header.getName(), COMPOUND, "", 1, scope, values)
+        return Property(name, COMPOUND, "", 1, scope, values)
     data_type = header.getDataType()
     pod = str(data_type).split("[")[0]
-    kind = SCALAR if header.isScalar() else ARRAY
-    if kind is ARRAY and values is not None and values.ndim == 1:
-        # An extent of its own, beside that of the type: as many values an element as the importer will see.
-        values = array_values(parent, header.getName())
-    return Property(header.getName(), kind, pod, data_type.getExtent(), scope, values)
+    return Property(name, SCALAR if header.isScalar() else ARRAY, pod, data_type.getExtent(), scope, values)
