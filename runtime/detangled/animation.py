@@ -8,6 +8,7 @@ root, and at the root it follows the scalp. So a curl neither slides along its s
 from __future__ import annotations
 
 from dataclasses import dataclass, replace
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -15,6 +16,7 @@ from scipy.spatial import cKDTree
 
 from detangled.errors import ReadError
 from detangled.formats.frames import Frames
+from detangled.geometry.inputs import compiled_input
 from detangled.groom import Groom
 from detangled.grooming.carrying import bound, carried, first_frames
 from detangled.grooming.following import followed_guides, root_rotations, windows
@@ -60,18 +62,10 @@ class Carrier:
             )
         first = kept.offsets[:-1]
         rotations = root_rotations(kept.points[first], here[first])
-        guides = followed_guides(kept.points, self.guides.points, kept.offsets, self.reaches, rotations, here)
-        out = carried(
-            self.local,
-            self.places,
-            self.styled.offsets,
-            self.drivers,
-            self.styled.polyline_lengths(),
-            guides,
-            kept.offsets,
-            self.roots,
-            rotations,
-        )
+        rest = kept.points, self.guides.points, kept.offsets, self.reaches
+        guides = followed_guides(*_inputs(*rest, rotations, here))
+        strands = self.local, self.places, self.styled.offsets, self.drivers, self.styled.polyline_lengths()
+        out = carried(*_inputs(*strands, guides, kept.offsets, self.roots, rotations))
         return self._seated(out, now)
 
     def _rows(self) -> NDArray[np.bool_]:
@@ -99,6 +93,10 @@ class Carrier:
         return out
 
 
+def _inputs(*arrays: NDArray[Any]) -> list[NDArray[Any]]:
+    return [compiled_input(array, array.dtype) for array in arrays]
+
+
 def carrier(rest: Groom, styled: Groom) -> Carrier:
     """Keep of a groom's first frame, before and after it was given a texture, what its other frames need.
 
@@ -117,7 +115,8 @@ def carrier(rest: Groom, styled: Groom) -> Carrier:
         drivers = np.full(styled.strand_count, -1, dtype=np.int64)
         roots = cKDTree(guides.groom.points[guides.groom.offsets[:-1]])
         drivers[usable] = roots.query(styled.points[styled.offsets[:-1][usable]])[1]
-    places, local = bound(styled.points, styled.offsets, drivers, guides.points, guides.groom.offsets)
+    on = guides.points, guides.groom.offsets
+    places, local = bound(*_inputs(styled.points, styled.offsets, drivers, *on))
     return Carrier(
         rest,
         styled,
@@ -125,8 +124,8 @@ def carrier(rest: Groom, styled: Groom) -> Carrier:
         drivers,
         places,
         local,
-        roots=first_frames(guides.points, guides.groom.offsets),
-        reaches=windows(guides.groom.points, guides.points, guides.groom.offsets),
+        roots=first_frames(*_inputs(*on)),
+        reaches=windows(guides.groom.points, *on),
     )
 
 
