@@ -23,7 +23,7 @@ from detangled.units import cm_per_unit, guess_unit
 Reader = Callable[[Path], Groom]
 Writer = Callable[[Groom, Path], list[str]]
 
-LENGTH_ATTRIBUTES = ("width", "velocities")
+LENGTH_ATTRIBUTES = ("width", "groom_width", "velocities")
 
 _MODULES = {
     ".abc": "detangled.formats.abc",
@@ -123,9 +123,13 @@ def write(groom: Groom, path: str | os.PathLike[str]) -> list[str]:
     writer = _functions(path, WriteError)[1]
     if writer is None:
         raise WriteError(f"{path}: files ending in {path.suffix} can be read, not written")
-    in_file_units = _scaled(groom, lambda lengths: lengths / groom.unit_cm) if groom.unit_cm != 1.0 else groom
     with replacing(path) as beside:
-        return writer(in_file_units, beside)
+        return writer(in_file_units(groom), beside)
+
+
+def in_file_units(groom: Groom) -> Groom:
+    """The groom with lengths as they are to stand in a file of its unit."""
+    return _scaled(groom, lambda lengths: lengths / groom.unit_cm) if groom.unit_cm != 1.0 else groom
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:

@@ -26,7 +26,7 @@ BLEND_SHARE = 0.5
 
 
 @kernel
-def _dense_guide(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def dense_guide(points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """A guide finely sampled (m, 3) and the arc length at its samples (m,), from its smooth curve."""
     guide = distinct_points(points)
     segments = guide.shape[0] - 1
@@ -44,7 +44,7 @@ def bend_onto(canonical: NDArray[np.float64], guide: NDArray[np.float64]) -> NDA
     The guide is resampled where the strand's points are, so segments match one to one; beyond its ends it goes on
     straight. Its frames are those of phi, evenly turned between samples.
     """
-    dense, along = _dense_guide(guide)
+    dense, along = dense_guide(guide)
     frames = guide_frames(dense)
     m = dense.shape[0] - 1
     n = canonical.shape[0]
