@@ -450,8 +450,8 @@ def test_old_and_unfinished_archives_are_told_apart(rich, tmp_path):
 
 
 def test_a_full_disk_is_noticed(tmp_path, monkeypatch):
-    def writes_half(groom, path):
-        lost = written(groom, path)
+    def writes_half(groom, path, *frames):
+        lost = written(groom, path, *frames)
         path.write_bytes(path.read_bytes()[:-200])
         return lost
 

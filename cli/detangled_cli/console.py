@@ -84,10 +84,13 @@ class UnitType(click.ParamType):
     name = "unit"
 
     def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from detangled.units import CM_PER_UNIT
+        from detangled.errors import ReadError
+        from detangled.units import cm_per_unit
 
-        if value not in CM_PER_UNIT:
-            self.fail(f"{value!r} is not a unit: use one of {', '.join(CM_PER_UNIT)}", param, ctx)
+        try:
+            cm_per_unit(str(value))
+        except ReadError as error:
+            self.fail(str(error), param, ctx)
         return str(value)
 
 
@@ -136,7 +139,7 @@ def unit_option(command: Command) -> Command:
         "--unit",
         type=UNIT,
         metavar="U",
-        help=f"Unit of IN: {UNIT_NAMES}. Default: what the file says, else a guess from its size.",
+        help=f"Unit of IN: {UNIT_NAMES}, or 2.5mm. Default: what the file says, else a guess from its size.",
     )(command)
 
 

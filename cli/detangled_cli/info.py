@@ -42,11 +42,12 @@ def command(source: Path, as_json: bool, unit: str | None) -> None:
     \b
     Example:
       detangled info groom.abc
-      detangled info groom.abc --unit m --json
+      detangled info groom.usdc --json
     """
-    from detangled.formats import read
+    from detangled.formats import format_name, read
 
-    facts = {"file": str(source), **describe(read(source, unit=unit))}
+    groom = read(source, unit=unit)
+    facts = {"file": str(source), "format": format_name(source), **describe(groom)}
     click.echo(json.dumps(facts, indent=2, allow_nan=False) if as_json else as_text(facts))
 
 
@@ -97,6 +98,8 @@ def as_text(facts: dict[str, Any]) -> str:
     ]
     if facts["unusable_strands"]:
         rows.insert(1, ("unusable", f"{facts['unusable_strands']:,} ({UNUSABLE})"))
+    if "format" in facts:
+        rows.insert(0, ("format", facts["format"]))
     lines = [facts["file"], *(f"  {name:<10}  {text}" for name, text in rows)]
     lines.append(f"  {'attributes':<10}  {'' if facts['attributes'] else 'none'}".rstrip())
     width = max(map(len, facts["attributes"]), default=0)

@@ -2,6 +2,8 @@
 
 from __future__ import annotations
 
+import re
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -11,6 +13,8 @@ CM_PER_UNIT = {"mm": 0.1, "cm": 1.0, "dm": 10.0, "m": 100.0, "in": 2.54}
 
 # A groom spans a head or a swatch: its bounding box has a diagonal near this, within a factor of about three.
 TYPICAL_DIAGONAL_CM = 35.0
+# Some programs' unit is none of these: TressFX's samples are about 2.5 mm a unit.
+_SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)? ?([a-z]+)")
 GUESSED_UNITS = ("m", "cm", "mm")
 POINTS_TO_GUESS_FROM = 20_000
 STRAY_QUANTILES = (0.01, 0.99)
@@ -34,11 +38,15 @@ def guess_unit(points: NDArray[np.floating]) -> str:
 
 
 def cm_per_unit(name: str) -> float:
-    """Centimetres in one unit called ``name``. Raises ReadError for a name that is not known."""
-    try:
-        return CM_PER_UNIT[name]
-    except KeyError:
-        raise ReadError(f"unknown unit {name!r}: use one of {', '.join(CM_PER_UNIT)}") from None
+    """Centimetres in one unit called ``name``, or in so many of one (``"2.5mm"``).
+
+    Raises ReadError for a unit that is not known.
+    """
+    size = _SIZE.fullmatch(name)
+    factor = float(size[1] or 1) if size else 0.0
+    if size is None or size[2] not in CM_PER_UNIT or not 0.0 < factor < np.inf:
+        raise ReadError(f"unknown unit {name!r}: use one of {', '.join(CM_PER_UNIT)}, or so many of one, as 2.5mm")
+    return factor * CM_PER_UNIT[size[2]]
 
 
 def unit_name(cm: float) -> str:

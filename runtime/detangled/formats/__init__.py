@@ -13,6 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
+from detangled.axes import AXES, turned
 from detangled.errors import DetangledError, ReadError, WriteError
 from detangled.groom import Attribute, Groom
 from detangled.units import cm_per_unit, guess_unit
@@ -22,13 +23,34 @@ from detangled.units import cm_per_unit, guess_unit
 Reader = Callable[[Path], Groom]
 Writer = Callable[[Groom, Path], list[str]]
 
-LENGTH_ATTRIBUTES = ("width",)
+LENGTH_ATTRIBUTES = ("width", "groom_width", "velocities")
 
 _MODULES = {
     ".abc": "detangled.formats.abc",
+    ".data": "detangled.formats.data",
+    ".hair": "detangled.formats.hair",
     ".npz": "detangled.formats.npz",
     ".obj": "detangled.formats.obj",
+    ".ply": "detangled.formats.ply",
+    ".tfx": "detangled.formats.tfx",
+    ".usd": "detangled.formats.usd",
+    ".usda": "detangled.formats.usd",
+    ".usdc": "detangled.formats.usd",
 }
+_NAMES = {
+    ".abc": "Alembic",
+    ".data": "USC-HairSalon strands",
+    ".hair": "Cem Yuksel's hair",
+    ".npz": "NumPy archive",
+    ".obj": "Wavefront OBJ",
+    ".ply": "PLY strands",
+    ".tfx": "TressFX",
+    ".usd": "USD",
+    ".usda": "USD, text",
+    ".usdc": "USD, binary",
+}
+# What a format needs beyond the plain install: the module, and the extra that brings it.
+_EXTRAS = {"pxr": "usd"}
 _UNIT_WORDS = {"m": "metres", "cm": "centimetres", "mm": "millimetres"}
 _registered: dict[str, tuple[Reader | None, Writer | None]] = {}
 
@@ -44,15 +66,29 @@ def suffixes() -> list[str]:
     return sorted({*_MODULES, *_registered})
 
 
-def read(path: str | os.PathLike[str], unit: str | None = None) -> Groom:
+def format_name(path: str | os.PathLike[str]) -> str:
+    """What files of this suffix are called, as people know them; the suffix itself where it has no name here."""
+    suffix = Path(path).suffix.lower()
+    return _NAMES.get(suffix, suffix)
+
+
+def read(
+    path: str | os.PathLike[str], unit: str | None = None, up: str | None = None, file_up: str | None = None
+) -> Groom:
     """Read a groom, with lengths in cm.
 
     path: a file whose suffix is one of ``suffixes()``.
     unit: name of the file's unit (``detangled.units.CM_PER_UNIT``); by default what the file says, else the
         unit in which it would be nearest to the size of a head of hair, with a note.
+    up: the axis to have up, ``"x"``, ``"y"`` or ``"z"``: points and directions are turned until it is
+        (``detangled.axes.turned``); by default they stay as they are in the file, and ``Groom.up`` says how that is.
+    file_up: the axis that points up in the file; by default what the file says, else what its format is used with.
     Raises ReadError where the file is missing, not what its suffix says, damaged, or holds no strands.
     """
     path = Path(path)
+    for axis in (up, file_up):
+        if axis not in (None, *AXES):
+            raise ReadError(f"{axis!r} is no axis that could point up: use x, y or z")
     reader = _functions(path, ReadError)[0]
     if reader is None:
         raise ReadError(f"{path}: files ending in {path.suffix} can be written, not read")
@@ -71,7 +107,10 @@ def read(path: str | os.PathLike[str], unit: str | None = None) -> Groom:
         raise ReadError(f"{path}: asks for more memory than there is") from error
     if groom.strand_count == 0:
         raise ReadError(f"{path}: holds no strands")
-    return _in_cm(groom, unit)
+    if file_up is not None:
+        groom = replace(groom, up=file_up)
+    groom = _in_cm(groom, unit)
+    return groom if up is None else turned(groom, up)
 
 
 def write(groom: Groom, path: str | os.PathLike[str]) -> list[str]:
@@ -84,9 +123,13 @@ def write(groom: Groom, path: str | os.PathLike[str]) -> list[str]:
     writer = _functions(path, WriteError)[1]
     if writer is None:
         raise WriteError(f"{path}: files ending in {path.suffix} can be read, not written")
-    in_file_units = _scaled(groom, lambda lengths: lengths / groom.unit_cm) if groom.unit_cm != 1.0 else groom
     with replacing(path) as beside:
-        return writer(in_file_units, beside)
+        return writer(in_file_units(groom), beside)
+
+
+def in_file_units(groom: Groom) -> Groom:
+    """The groom with lengths as they are to stand in a file of its unit."""
+    return _scaled(groom, lambda lengths: lengths / groom.unit_cm) if groom.unit_cm != 1.0 else groom
 
 
 def check_writable(path: str | os.PathLike[str]) -> None:
@@ -140,7 +183,15 @@ def replacing(path: Path) -> Iterator[Path]:
 def _functions(path: Path, error: type[DetangledError]) -> tuple[Reader | None, Writer | None]:
     suffix = path.suffix.lower()
     if suffix not in _registered and suffix in _MODULES:
-        import_module(_MODULES[suffix])
+        try:
+            import_module(_MODULES[suffix])
+        except ModuleNotFoundError as missing:
+            extra = _EXTRAS.get((missing.name or "").partition(".")[0])
+            if extra is None:
+                raise
+            raise error(
+                f"{path}: {suffix} files need a library that is not installed: pip install 'detangled[{extra}]'"
+            ) from missing
     if suffix not in _registered:
         said = f"files ending in {path.suffix}" if suffix else "files without a suffix"
         raise error(f"{path}: {said} are not known; these are: {', '.join(suffixes())}")

@@ -7,7 +7,7 @@ become polylines. Of several time samples the first is read. Alembic carries nei
 from __future__ import annotations
 
 from collections.abc import Iterator
-from dataclasses import dataclass, field
+from dataclasses import dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -18,8 +18,9 @@ from numpy.typing import NDArray
 from detangled.errors import ReadError
 from detangled.formats import abc_check, register
 from detangled.formats.abc_values import BINDING_ERRORS, Value, read_property
-from detangled.formats.abc_write import DEFAULT_UP, write
+from detangled.formats.abc_write import DEFAULT_UP, GROOM_PROPERTIES, write
 from detangled.formats.curve_bases import SmoothCurves
+from detangled.formats.frames import ONLY_FIRST
 from detangled.formats.merge import Part, merged
 from detangled.groom import Attribute, Groom, Scope
 
@@ -37,12 +38,13 @@ _COMPOUNDS = (".arbGeomParams", ".userProperties")
 
 
 @dataclass
-class _Scene:
-    """What was met on the way through a file."""
+class Scene:
+    """What was met on the way through a file: curves, with the schemas of the transforms above each."""
 
-    curves: list[tuple[Any, NDArray[np.float64]]] = field(default_factory=list)
+    curves: list[tuple[Any, tuple[Any, ...]]] = field(default_factory=list)
     meshes: list[str] = field(default_factory=list)
     time_samples: int = 1
+    properties: dict[str, Attribute] = field(default_factory=dict)
 
 
 def read(path: Path) -> Groom:
@@ -53,50 +55,94 @@ def read(path: Path) -> Groom:
     abc_check.check(path)
     try:
         archive = Abc.IArchive(str(path))
-        scene = _Scene()
-        _collect(archive.getTop(), scene)
+        scene = collected(archive.getTop())
         if not scene.curves:
             beside = f", only the meshes {', '.join(scene.meshes)}" if scene.meshes else ""
             raise ReadError(f"{path}: holds no curves{beside}")
-        parts = [_read_curves(path, curves, matrix) for curves, matrix in scene.curves]
+        parts = [_read_curves(path, curves, matrix_of(above)) for curves, above in scene.curves]
     except BINDING_ERRORS as error:
         raise ReadError(f"{path}: damaged, or not as Alembic lays it down: {_first_line(error)}") from error
     notes = []
     if scene.meshes:
         notes.append(f"skipped what is not curves: {', '.join(scene.meshes)}")
     if scene.time_samples > 1:
-        notes.append(f"{scene.time_samples} time samples, only the first is kept")
-    return merged(parts, up=DEFAULT_UP, notes=tuple(notes))
+        notes.append(f"{scene.time_samples} time samples, {ONLY_FIRST}")
+    groom = merged(parts, up=_up(scene), notes=tuple(notes))
+    return replace(groom, attributes={**scene.properties, **groom.attributes})
 
 
-def _collect(top: Any, scene: _Scene) -> None:
-    """Find the curves below an object, with the matrix that takes each to the world (row vectors)."""
-    waiting = [(top, np.eye(4))]
+def _up(scene: Scene) -> str:
+    """What is up: y by custom, unless this program wrote the file for Unreal."""
+    tool, about = (scene.properties.get(name) for name in ("groom_tool", "groom_properties"))
+    if tool is None or about is None or not str(tool.values[0]).startswith("detangled "):
+        return DEFAULT_UP
+    return "z" if str(about.values[0]).endswith("z up") else DEFAULT_UP
+
+
+def collected(top: Any) -> Scene:
+    """Find the curves below an object."""
+    scene = Scene()
+    waiting: list[tuple[Any, tuple[Any, ...]]] = [(top, ())]
+    _find_properties(top.getProperties(), scene)
     while waiting:
-        thing, matrix = waiting.pop()
+        thing, above = waiting.pop()
         header = thing.getHeader()
         if AbcGeom.IXform.matches(header):
             schema = AbcGeom.IXform(thing.getParent(), thing.getName()).getSchema()
+            _find_properties(schema.getUserProperties(), scene)
             if schema.getNumSamples():
                 scene.time_samples = max(scene.time_samples, schema.getNumSamples())
-                sample = schema.getValue()
-                own = np.array([[entry for entry in row] for row in sample.getMatrix()], dtype=np.float64)
-                matrix = own @ matrix if sample.getInheritsXforms() else own
+                above = (*above, schema)
         elif AbcGeom.ICurves.matches(header):
             curves = AbcGeom.ICurves(thing.getParent(), thing.getName())
             if curves.getSchema().getNumSamples():
                 scene.time_samples = max(scene.time_samples, curves.getSchema().getNumSamples())
-                scene.curves.append((curves, matrix))
+                scene.curves.append((curves, above))
         elif AbcGeom.IPolyMesh.matches(header) or AbcGeom.ISubD.matches(header):
             scene.meshes.append(thing.getName())
         # Backwards, since the last one in is the first one out.
-        waiting.extend((thing.getChild(i), matrix) for i in reversed(range(thing.getNumChildren())))
+        waiting.extend((thing.getChild(i), above) for i in reversed(range(thing.getNumChildren())))
+    return scene
+
+
+def matrix_of(above: tuple[Any, ...], selector: Any = None) -> NDArray[np.float64]:
+    """The matrix (4, 4) that takes what is below some transforms to the world (row vectors), at a time or first."""
+    matrix = np.eye(4)
+    for schema in above:
+        sample = schema.getValue() if selector is None else schema.getValue(selector)
+        own = np.array([[entry for entry in row] for row in sample.getMatrix()], dtype=np.float64)
+        matrix = own @ matrix if sample.getInheritsXforms() else own
+    return matrix
+
+
+def _find_properties(compound: Any, scene: Scene) -> None:
+    """Take over properties of the whole groom from a node above the curves; the first found of a name stays."""
+    if not compound.valid():
+        return
+    for i in range(compound.getNumProperties()):
+        header = compound.getPropertyHeader(i)
+        if header.getName() in GROOM_PROPERTIES and header.getName() not in scene.properties:
+            value = read_property(compound, header)
+            if value is not None and len(value.values) == 1:
+                scene.properties[header.getName()] = Attribute(value.values, Scope.GROOM)
 
 
 def _read_curves(path: Path, curves: Any, matrix: NDArray[np.float64]) -> Part:
     name = curves.getName()
-    schema = curves.getSchema()
-    sample = schema.getValue()
+    sample = curves.getSchema().getValue()
+    counts, points = counts_and_points(path, name, sample)
+    found, notes = _attributes(curves, len(counts), len(points))
+    if sample.getWrap() == AbcGeom.CurvePeriodicity.kPeriodic:
+        notes.append(f"the closed curves of {name!r} were read as open ones")
+    points, found = to_world(points, found, matrix)
+    if sample.getType() != AbcGeom.CurveType.kLinear:
+        counts, points, found, more = evaluated(path, name, sample, counts, points, found)
+        notes += more
+    return Part(name, curves.getFullName(), points, counts, found, notes)
+
+
+def counts_and_points(path: Path, name: str, sample: Any) -> tuple[NDArray[np.int64], NDArray[np.float64]]:
+    """Points a strand (S,) and points (P, 3) of a sample. Raises ReadError where they do not fit each other."""
     points = np.array(np.asarray(sample.getPositions()), dtype=np.float64).reshape(-1, 3)
     counts = np.array(np.asarray(sample.getCurvesNumVertices()), dtype=np.int64).reshape(-1)
     if np.any(counts < 0) or int(counts.sum()) != len(points):
@@ -105,14 +151,7 @@ def _read_curves(path: Path, curves: Any, matrix: NDArray[np.float64]) -> Part:
             f"{path}: damaged: the curves {name!r} hold {len(points)} points, "
             f"and counts a strand that add up to {int(counts.sum())}{negative}"
         )
-    found, notes = _attributes(curves, len(counts), len(points))
-    if sample.getWrap() == AbcGeom.CurvePeriodicity.kPeriodic:
-        notes.append(f"the closed curves of {name!r} were read as open ones")
-    points, found = _to_world(points, found, matrix)
-    if sample.getType() != AbcGeom.CurveType.kLinear:
-        counts, points, found, more = _evaluated(path, name, sample, counts, points, found)
-        notes += more
-    return Part(name, curves.getFullName(), points, counts, found, notes)
+    return counts, points
 
 
 def _attributes(curves: Any, strands: int, points: int) -> tuple[dict[str, Attribute], list[str]]:
@@ -167,7 +206,7 @@ def _scope(value: Value, strands: int, points: int) -> Scope | None:
     return fitting[0] if fitting else None
 
 
-def _to_world(
+def to_world(
     points: NDArray[np.float64], found: dict[str, Attribute], matrix: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], dict[str, Attribute]]:
     """Apply a transform to the points, and to the schema's widths, normals and velocities."""
@@ -196,7 +235,7 @@ def _to_world(
     return points, found
 
 
-def _evaluated(
+def evaluated(
     path: Path,
     name: str,
     sample: Any,

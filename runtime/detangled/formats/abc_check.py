@@ -4,7 +4,7 @@ The library trusts much of what it reads: a damaged file can make it follow a nu
 buffer, or ask for all the memory there is, which no ``except`` catches. The layout is that of AbcCoreOgawa
 (ReadUtil.cpp): an object is a group of its properties, its children and their headers; a compound property a
 group of its members and their headers; a sample one piece of data, a 16-byte key before its bytes, and for
-arrays a second with dimensions. Only first samples are looked at, since only those are read.
+arrays a second with dimensions. Samples equal to the one before, at the beginning and the end, are stored once.
 """
 
 from __future__ import annotations
@@ -22,6 +22,8 @@ HEADER_HASH_BYTES = 32
 KEY_BYTES = 16
 INLINE_METADATA = 0xFF
 COMPOUND, SCALAR = 0, 1
+# Bits of a property's header: which samples changed is told; none did.
+CHANGES, CONSTANT = 0x200, 0x800
 
 # Bytes of one value by type, in the library's order: bool, then 8 to 64 bits, then halves, floats, doubles.
 POD_BYTES = (1, 1, 1, 2, 2, 4, 4, 8, 8, 2, 4, 8)
@@ -34,11 +36,14 @@ class _Property(NamedTuple):
     kind: int
     pod: int
     extent: int
-    samples: int
+    samples: int  # that are stored
 
 
-def check(path: Path) -> None:
-    """Raise ReadError where the library could not be trusted with the file at ``path``."""
+def check(path: Path, frames: bool = False) -> None:
+    """Raise ReadError where the library could not be trusted with the file at ``path``.
+
+    frames: whether all samples are looked at, for those who read them, or only the first ones.
+    """
     with opened(path) as container:
         top = container.children(container.root)
         if len(top) < ROOT_CHILDREN:
@@ -46,7 +51,7 @@ def check(path: Path) -> None:
         for child in top[:TOP_OBJECT] + top[TOP_OBJECT + 1 : ROOT_CHILDREN]:
             container.data_size(child)
         metadata_count = _count_metadata(container.data(top[INDEXED_METADATA]))
-        _check_objects(container, top[TOP_OBJECT], metadata_count)
+        _check_objects(container, top[TOP_OBJECT], metadata_count, frames)
 
 
 def _count_metadata(data: bytes) -> int:
@@ -58,7 +63,7 @@ def _count_metadata(data: bytes) -> int:
     return count
 
 
-def _check_objects(container: Container, top: int, metadata_count: int) -> None:
+def _check_objects(container: Container, top: int, metadata_count: int, frames: bool) -> None:
     seen: set[int] = set()
     waiting = [top]
     while waiting:
@@ -69,7 +74,7 @@ def _check_objects(container: Container, top: int, metadata_count: int) -> None:
         seen.add(group)
         if not children:
             continue
-        _check_compounds(container, children[0], metadata_count)
+        _check_compounds(container, children[0], metadata_count, frames)
         headers = _count_objects(container, container.data(children[-1]), metadata_count) if len(children) > 1 else 0
         if headers != max(0, len(children) - 2):
             raise container.damaged(f"{headers} objects are announced at byte {group}, {len(children) - 2} are there")
@@ -90,7 +95,7 @@ def _count_objects(container: Container, data: bytes, metadata_count: int) -> in
     return count
 
 
-def _check_compounds(container: Container, top: int, metadata_count: int) -> None:
+def _check_compounds(container: Container, top: int, metadata_count: int, frames: bool) -> None:
     seen: set[int] = set()
     waiting = [top]
     while waiting:
@@ -110,7 +115,9 @@ def _check_compounds(container: Container, top: int, metadata_count: int) -> Non
             if member.kind == COMPOUND:
                 waiting.append(entry)
             elif member.samples:
-                _check_sample(container, member, container.children(entry))
+                entries = container.children(entry)
+                for number in range(member.samples if frames else 1):
+                    _check_sample(container, member, entries, number)
 
 
 def _properties(container: Container, data: bytes, metadata_count: int) -> list[_Property]:
@@ -127,10 +134,13 @@ def _properties(container: Container, data: bytes, metadata_count: int) -> list[
             if pod > WSTRING or extent == 0:
                 raise container.damaged("a property is of an unknown type")
             samples = cursor.number(width)
-            if info & 0x200:
+            first, last = (0, 0) if info & CONSTANT else (1, samples - 1)
+            if info & CHANGES:
                 first, last = cursor.number(width), cursor.number(width)
                 if first > last or (samples and last >= samples):
                     raise container.damaged("a property's samples are out of order")
+            if samples:
+                samples = last - first + 2 if last > 0 else 1
             if info & 0x100:
                 cursor.number(width)
         name = cursor.text(cursor.number(width))
@@ -143,9 +153,10 @@ def _properties(container: Container, data: bytes, metadata_count: int) -> list[
     return found
 
 
-def _check_sample(container: Container, member: _Property, entries: list[int]) -> None:
-    """Check the first sample of a scalar or array property against its type and dimensions."""
+def _check_sample(container: Container, member: _Property, entries: list[int], number: int) -> None:
+    """Check one stored sample of a scalar or array property against its type and dimensions."""
     needed = 1 if member.kind == SCALAR else 2
+    entries = entries[number * needed : (number + 1) * needed]
     if len(entries) < needed:
         raise container.damaged(f"the values of {member.name!r} are missing")
     size = container.data_size(entries[0])

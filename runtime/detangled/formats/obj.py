@@ -119,7 +119,7 @@ def write(groom: Groom, path: Path) -> list[str]:
         for begin in range(0, len(points), POINTS_A_BLOCK):
             block = points[begin : begin + POINTS_A_BLOCK]
             file.write(((POINT_FORMAT * len(block)) % tuple(block.ravel().tolist())).encode())
-        numbers = np.arange(1, len(points) + 1).astype(np.str_).tolist()
+        numbers = list(map(str, range(1, len(points) + 1)))
         bounds = ordered.offsets.tolist()
         for index, name in enumerate(groom.objects):
             file.write(f"o {_one_line(name)}\n".encode())

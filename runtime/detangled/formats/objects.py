@@ -34,3 +34,10 @@ def other_attributes(groom: Groom) -> dict[str, Attribute]:
     if len(groom.objects) < 2:
         return dict(groom.attributes)
     return {name: a for name, a in groom.attributes.items() if name != ATTRIBUTE}
+
+
+def lost_names(groom: Groom) -> list[str]:
+    """What to say where a format has no place for the objects of a groom: a sentence, or none for one object."""
+    if len(groom.objects) < 2:
+        return []
+    return [f"which of the objects {', '.join(groom.objects)} holds a strand was not kept"]

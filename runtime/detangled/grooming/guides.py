@@ -103,13 +103,27 @@ def resampled_attributes(groom: Groom, offsets: NDArray[np.int64]) -> tuple[dict
     Values of points are read at the same share of the strand: fractions between neighbours, anything else from the
     nearest point. Velocities belong to the old points alone.
     """
-    kept: dict[str, Attribute] = {}
-    lost: list[str] = []
     counts = np.diff(offsets)
     strand = np.repeat(np.arange(groom.strand_count), counts)
     old = groom.point_counts[strand]
     # Exact where the counts are equal: a strand that passed through keeps its values to the bit.
     at = (np.arange(offsets[-1]) - offsets[strand]) * (old - 1) / np.maximum(counts[strand] - 1, 1)
+    kept, lost = dict(groom.attributes), []
+    if "velocities" in kept and kept["velocities"].scope is Scope.POINT:
+        del kept["velocities"]
+        lost.append("attribute 'velocities' was not kept: it belongs to the strands' old points")
+    return attributes_at(replace(groom, attributes=kept), offsets, at), lost
+
+
+def attributes_at(groom: Groom, offsets: NDArray[np.int64], at: NDArray[np.float64]) -> dict[str, Attribute]:
+    """Attributes of a groom for other points of its strands: by ``offsets`` (S + 1,), at places ``at`` (Q,).
+
+    A place counts a strand's old points from 0: at 1.5 fractions are the mean of the second and the third point's,
+    and anything else is the nearest one's.
+    """
+    kept: dict[str, Attribute] = {}
+    strand = np.repeat(np.arange(groom.strand_count), np.diff(offsets))
+    old = groom.point_counts[strand]
     whole = np.minimum(at.astype(np.int64), old - 1)
     part = at - whole
     below = groom.offsets[strand] + whole
@@ -117,8 +131,6 @@ def resampled_attributes(groom: Groom, offsets: NDArray[np.int64]) -> tuple[dict
     for name, attribute in groom.attributes.items():
         if attribute.scope is not Scope.POINT:
             kept[name] = attribute
-        elif name == "velocities":
-            lost.append(f"attribute {name!r} was not kept: it belongs to the strands' old points")
         elif np.issubdtype(attribute.values.dtype, np.floating):
             weight = part.reshape((-1,) + (1,) * (attribute.values.ndim - 1))
             low, high = attribute.values[below], attribute.values[above]
@@ -127,4 +139,4 @@ def resampled_attributes(groom: Groom, offsets: NDArray[np.int64]) -> tuple[dict
             kept[name] = Attribute(mixed.astype(attribute.values.dtype), Scope.POINT)
         else:
             kept[name] = Attribute(attribute.values[np.where(part < 0.5, below, above)], Scope.POINT)
-    return kept, lost
+    return kept

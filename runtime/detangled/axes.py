@@ -1,0 +1,68 @@
+"""Which axis points up: the turn from one to another, and grooms turned by it."""
+
+from __future__ import annotations
+
+from dataclasses import replace
+from typing import Any
+
+import numpy as np
+from numpy.typing import NDArray
+
+from detangled.errors import DetangledError
+from detangled.groom import Attribute, Groom
+
+AXES = ("x", "y", "z")
+
+# Attributes of three numbers that are directions, by the names that Alembic, USD, Houdini and Blender give them.
+DIRECTIONS = frozenset(
+    {"N", "normal", "normals", "tangent", "tangents", "velocities", "velocity", "v", "acceleration", "accelerations"}
+    | {"surface_normal", "rest_normal", "up"}
+)
+# Those that are places.
+PLACES = frozenset({"rest", "rest_position", "Pref", "root_position", "surface_position"})
+
+# What takes a point with this axis up to one with y up, as whole numbers, so that nothing is rounded. Columns are
+# where x, y and z go; z up to y up is how Blender turns what it exports.
+_TO_Y = {
+    "x": np.array([[0, -1, 0], [1, 0, 0], [0, 0, 1]], dtype=np.float64),
+    "y": np.eye(3),
+    "z": np.array([[1, 0, 0], [0, 0, 1], [0, -1, 0]], dtype=np.float64),
+}
+
+
+def check_axis(axis: str) -> str:
+    """The axis itself. Raises DetangledError where it is not x, y or z."""
+    if axis not in AXES:
+        raise DetangledError(f"{axis!r} is no axis that could point up: use x, y or z")
+    return axis
+
+
+def turn_between(up: str, wanted: str) -> NDArray[np.float64]:
+    """The rotation R (3, 3) that turns ``up`` into ``wanted``: points (P, 3) are turned by ``points @ R.T``."""
+    return _TO_Y[check_axis(wanted)].T @ _TO_Y[check_axis(up)]
+
+
+def turned(groom: Groom, up: str) -> Groom:
+    """The groom with this axis up: its points turned, and its attributes that are directions or places.
+
+    Which those are is known by their names (``DIRECTIONS``, ``PLACES``); other attributes of three numbers stay.
+    Raises DetangledError where ``up`` is not x, y or z.
+    """
+    if check_axis(up) == groom.up:
+        return groom
+    attributes = {
+        name: Attribute(turned_vectors(a.values, groom.up, up), a.scope)
+        if name in DIRECTIONS | PLACES and a.values.dtype.kind == "f" and a.values.shape[1:] == (3,)
+        else a
+        for name, a in groom.attributes.items()
+    }
+    return replace(groom, points=turned_vectors(groom.points, groom.up, up), attributes=attributes, up=up)
+
+
+def turned_vectors(vectors: NDArray[Any], up: str, wanted: str) -> NDArray[Any]:
+    """Points or directions (n, 3) turned as ``turn_between`` turns them, to the bit."""
+    rotation = turn_between(up, wanted)
+    # Picked and negated rather than multiplied: a product with zeros would spread what is not finite.
+    source = np.argmax(np.abs(rotation), axis=1)
+    signs = rotation[np.arange(3), source].astype(vectors.dtype)
+    return vectors[:, source] * signs
