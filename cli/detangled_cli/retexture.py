@@ -20,6 +20,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.presets import with_texture, written
 from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
 
 
@@ -61,7 +62,7 @@ def command(
     """Give a groom another texture, on its own style: one new strand for each of its strands.
 
     The texture is learned from target strands, or told by a hair type or by numbers; the groom keeps its style, its
-    strands' number, order, roots and attributes.
+    strands' number, order, roots and attributes. A groom that moves keeps its frames, and its curls their places.
 
     \b
     Example:
@@ -70,7 +71,8 @@ def command(
       detangled retexture in.abc out.abc --radius 6mm:2mm --wavelength 8mm --twist 0.3
       detangled retexture in.abc out.abc --target coily.texture --length strand --seed 7
     """
-    from detangled.formats import check_writable, read, write
+    from detangled.formats import check_writable
+    from detangled.formats.frames import read_frames
     from detangled.grooming.lengths import Length
     from detangled.kernels import set_threads
     from detangled.retexturing import Options, retexture
@@ -78,7 +80,8 @@ def command(
     began = time.perf_counter()
     check_writable(target)
     fibre = fibre_attributes(thickness, porosity)
-    groom = read(source, unit=unit)
+    frames = read_frames(source, unit=unit)
+    groom = frames.groom
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
     groom = replace(groom, attributes={**groom.attributes, **fibre})
@@ -87,7 +90,8 @@ def command(
     texture = wanted_texture(**wanted, seed=seed)
     with progress_bar("strands", groom.strand_count) as bar:
         result = retexture(groom, texture, Options(Length(length), seed, steps, max_points), bar.update)
-    for sentence in [*result.lost, *result.warnings, *write(result.groom, target)]:
+    styled = with_texture(frames, result.groom, target)
+    for sentence in [*result.lost, *result.warnings, *written(styled, target)]:
         warn(f"{target}: {sentence}")
     if len(result.passed_through):
         some = ", ".join(str(index) for index in result.passed_through[:5])
