@@ -29,7 +29,7 @@ from detangled_cli.presets import needs_kernels, preset_option, written
 @click.option("--out-unit", type=UNIT, metavar="U", help=f"Unit of OUT: {UNIT_NAMES}. Default: that of IN.")
 @quiet_option
 def command(source: Path, target: Path, preset: str | None, unit: str | None, out_unit: str | None) -> None:
-    """Convert a groom to another file format or unit, or make it ready for an engine.
+    """Convert a groom to another format, or for an engine.
 
     The suffix of OUT chooses its format. What that format cannot hold is listed on stderr, and so is what a preset
     changes.
