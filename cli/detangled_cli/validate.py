@@ -23,8 +23,8 @@ LOSES = 3
 def command(ctx: click.Context, source: Path, preset: str, as_json: bool, unit: str | None) -> None:
     """Say what an engine would lose of a groom file.
 
-    One line for each thing that its importer would drop or misread. Exits with 3 where anything is lost, with 0 where there is nothing or only notes. The file is looked at as it
-    lies on the disk, and left as it is.
+    One line for each thing that its importer would drop or misread. Exits with 3 where anything is lost, with 0 where
+    there is nothing or only notes. The file is looked at as it lies on the disk, and left as it is.
 
     \b
     Example:
