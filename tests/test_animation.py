@@ -8,20 +8,23 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+from click.testing import CliRunner
 from numpy.typing import NDArray
 from scipy.spatial.transform import Rotation
 
 from detangled import formats
 from detangled.animation import carried_frames, carrier
 from detangled.errors import ReadError
-from detangled.formats.frames import Frames
+from detangled.formats.frames import Frames, read_frames, write_frames
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.following import followed_guides, root_rotations, windows
 from detangled.grooming.guides import style_guides
 from detangled.grooming.placing import place
+from detangled_cli.main import detangled
 
 Points = NDArray[np.float64]
+COILY = Path(__file__).resolve().parents[1] / "examples" / "coily_strands.obj"
 LENGTH = 20.0
 FRAMES = 24
 MOVE = np.array([3.0, -2.0, 7.0])
@@ -227,3 +230,26 @@ def test_frames_that_cannot_be_followed_are_named() -> None:
         frames.points(2)
     with pytest.raises(ReadError, match="none of the 3 strands"):
         carrier(replace(groom, points=np.zeros_like(groom.points)), styled)
+
+
+def test_the_command_keeps_frames(tmp_path: Path) -> None:
+    groom = lines(3)
+    positions = [bent(groom, 0.2 * frame) for frame in range(3)]
+    times = np.array([0.5, 0.6, 0.7])
+    write_frames(replace(groom, unit_cm=100.0), times, positions, tmp_path / "in.abc")
+
+    def retexture(out: str) -> str:
+        arguments = [tmp_path / "in.abc", tmp_path / out, "--target", COILY, "--length", "strand", "--max-points", 200]
+        done = CliRunner().invoke(detangled, ["retexture", *map(str, arguments), "--unit", "m", "--steps", "8"])
+        assert done.exit_code == 0, done.stderr
+        return done.stderr
+
+    retexture("out.abc")
+    frames = read_frames(tmp_path / "out.abc", unit="m")
+    np.testing.assert_allclose(frames.times, times)
+    lengths = frames.groom.polyline_lengths()
+    for points, position in zip(frames, positions, strict=True):
+        np.testing.assert_allclose(points[frames.groom.offsets[:-1]], position[groom.offsets[:-1]], atol=1e-5)
+        np.testing.assert_allclose(replace(frames.groom, points=points).polyline_lengths(), lengths, rtol=1e-4)
+    assert np.abs(frames.points(2) - frames.points(0)).max() > 0.3
+    assert "3 frames, only the first is kept" in retexture("out.obj")

@@ -38,6 +38,20 @@ def needs_kernels(groom: Groom, preset: str) -> bool:
     return most is not None and bool((groom.point_counts > most).any())
 
 
+def with_texture(frames: Frames, styled: Groom, target: Path) -> Frames:
+    """The frames that OUT is to hold: those of IN with the texture of its first one, that first one alone elsewhere."""
+    from detangled.formats.frames import holds_frames, still
+
+    if len(frames) < 2:
+        return still(styled)
+    if not holds_frames(target):
+        # Nothing else of these frames will be asked for; how many there are is told.
+        return frames.mapped(styled, lambda _, points: points)
+    from detangled.animation import carried_frames
+
+    return carried_frames(frames, styled)
+
+
 def written(frames: Frames, target: Path) -> list[str]:
     """Write a groom with all its frames, or the first where the format holds no more; say what was not kept."""
     from detangled.formats import write

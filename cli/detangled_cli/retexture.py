@@ -22,6 +22,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.presets import with_texture, written
 from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
 
 if TYPE_CHECKING:
@@ -92,7 +93,7 @@ def command(
     """Give a groom another texture, on its own style: one new strand for each of its strands.
 
     The texture is learned from target strands, or told by a hair type or by numbers; the groom keeps its style, its
-    strands' number, order, roots and attributes.
+    strands' number, order, roots and attributes. A groom that moves keeps its frames, and its curls their places.
 
     \b
     Example:
@@ -102,8 +103,13 @@ def command(
       detangled retexture in.abc out.abc --target coily.texture --length strand --seed 7
       detangled retexture in.abc out.abc --type 4B --head head.obj
     """
+<<<<<<< HEAD
     from detangled.formats import check_writable, read, write
     from detangled.grooming.interpenetration import OnPenetration
+=======
+    from detangled.formats import check_writable
+    from detangled.formats.frames import read_frames
+>>>>>>> engines/main
     from detangled.grooming.lengths import Length
     from detangled.kernels import set_threads
     from detangled.retexturing import Options, retexture
@@ -111,7 +117,8 @@ def command(
     began = time.perf_counter()
     check_writable(target)
     fibre = fibre_attributes(thickness, porosity)
-    groom = read(source, unit=unit)
+    frames = read_frames(source, unit=unit)
+    groom = frames.groom
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
     head = None if head_source is None else _head_of(groom, head_source, head_unit, head_group)
@@ -120,9 +127,15 @@ def command(
     set_threads(threads)
     texture = wanted_texture(**wanted, seed=seed)
     with progress_bar("strands", groom.strand_count) as bar:
+<<<<<<< HEAD
         options = Options(Length(length), seed, steps, max_points, head, OnPenetration(on_penetration))
         result = retexture(groom, texture, options, bar.update)
     for sentence in [*result.lost, *result.warnings, *write(result.groom, target)]:
+=======
+        result = retexture(groom, texture, Options(Length(length), seed, steps, max_points), bar.update)
+    styled = with_texture(frames, result.groom, target)
+    for sentence in [*result.lost, *result.warnings, *written(styled, target)]:
+>>>>>>> engines/main
         warn(f"{target}: {sentence}")
     if len(result.passed_through):
         some = ", ".join(str(index) for index in result.passed_through[:5])

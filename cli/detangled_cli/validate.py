@@ -21,10 +21,10 @@ LOSES = 3
 @quiet_option
 @click.pass_context
 def command(ctx: click.Context, source: Path, preset: str, as_json: bool, unit: str | None) -> None:
-    """Say what an engine's importer would drop or misread of a groom file, one line each.
+    """Say what an engine would lose of a groom file.
 
-    Exits with 3 where anything is lost, with 0 where there is nothing or only notes. The file is looked at as it
-    lies on the disk, and left as it is.
+    One line for each thing that its importer would drop or misread. Exits with 3 where anything is lost, with 0 where
+    there is nothing or only notes. The file is looked at as it lies on the disk, and left as it is.
 
     \b
     Example:

@@ -46,6 +46,11 @@ class Frames:
         return (self.points(index) for index in range(len(self)))
 
 
+def still(groom: Groom) -> Frames:
+    """A groom that stands still, as one frame."""
+    return Frames(groom, np.zeros(1), lambda _: groom.points)
+
+
 def holds_frames(path: str | os.PathLike[str]) -> bool:
     """Whether files of this suffix can hold frames that are read and written."""
     return Path(path).suffix.lower() in _MODULES
@@ -60,11 +65,11 @@ def read_frames(path: str | os.PathLike[str], unit: str | None = None) -> Frames
     path = Path(path)
     groom = read(path, unit=unit)
     if not holds_frames(path):
-        return Frames(groom, np.zeros(1), lambda index: groom.points)
+        return still(groom)
     times, points = import_module(_MODULES[path.suffix.lower()]).open_frames(path)
     groom = replace(groom, notes=tuple(note for note in groom.notes if not note.endswith(ONLY_FIRST)))
     if len(times) < 2:
-        return Frames(groom, times, lambda index: groom.points)
+        return still(groom)
     return Frames(groom, times, lambda index: points(index) * groom.unit_cm)
 
 
