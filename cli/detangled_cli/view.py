@@ -1,0 +1,123 @@
+"""detangled view: a page that shows a groom, or one before and after, in a browser."""
+
+from __future__ import annotations
+
+from pathlib import Path
+from typing import TYPE_CHECKING, Any
+
+import click
+
+from detangled_cli.console import (
+    announce_first_run,
+    input_argument,
+    note,
+    progress_bar,
+    quiet_option,
+    threads_option,
+    unit_option,
+    warn,
+)
+
+if TYPE_CHECKING:
+    from detangled.groom import Groom
+    from detangled.view.page import Shown
+
+
+@click.command()
+@input_argument
+@click.argument("target", metavar="[PAGE.html]", required=False, type=click.Path(path_type=Path))
+@click.option(
+    "--after",
+    metavar="OUT",
+    type=click.Path(path_type=Path),
+    help="A second groom, seen alike: a divider wipes between IN and it.",
+)
+@click.option("--head", "head_path", metavar="MESH", type=click.Path(path_type=Path), help="The head under the hair.")
+@click.option(
+    "--no-labels",
+    is_flag=True,
+    help="Do not read the strands' texture, which takes most of the time; none can be coloured by it then.",
+)
+@click.option("--open", "opened", is_flag=True, help="Open the page in the browser.")
+@unit_option
+@threads_option
+@quiet_option
+def command(
+    source: Path,
+    target: Path | None,
+    after: Path | None,
+    head_path: Path | None,
+    no_labels: bool,
+    opened: bool,
+    unit: str | None,
+    threads: int | None,
+) -> None:
+    """Show a groom in a browser: one page that needs no network.
+
+    The page turns and zooms, colours strands by radius, wavelength, twist or type, and says what hair it is. Without
+    PAGE.html it is written into the current folder, named after the last groom.
+
+    \b
+    Example:
+      detangled view groom.abc
+      detangled view before.abc --after coily.abc comparison.html --open
+    """
+    sources = [source] if after is None else [source, after]
+    target = target or Path(f"{sources[-1].stem}.html")
+
+    from detangled.errors import WriteError
+    from detangled.formats import read
+    from detangled.view import page
+
+    page.check_target(target)
+    for path in [*sources, *([head_path] if head_path is not None else [])]:
+        if target.exists() and path.exists() and target.samefile(path):
+            raise WriteError(f"{target}: is an input, which would be lost: choose another file")
+    grooms = []
+    for path in sources:
+        grooms.append(read(path, unit=unit))
+        for sentence in grooms[-1].notes:
+            warn(f"{path}: {sentence}")
+    head = None
+    if head_path is not None:
+        from detangled.formats.meshes import read_head
+
+        head = read_head(head_path)
+        for sentence in head.notes:
+            warn(f"{head_path}: {sentence}")
+
+    from detangled.kernels import set_threads
+
+    set_threads(threads)
+    shown = [_shown(groom, name, no_labels) for groom, name in zip(grooms, _names(sources), strict=True)]
+    made = page.page(shown, head)
+    for sentence in made.notes:
+        warn(sentence)
+    page.save(made, target)
+    note(f"{target}: {len(made.text) / 1e6:.1f} MB, strands {made.strand_width:.3g} cm wide; open it in a browser")
+    if opened:
+        click.launch(target.resolve().as_uri())
+
+
+def _shown(groom: Groom, name: str, no_labels: bool) -> Shown:
+    from detangled.view.page import Shown
+
+    if no_labels:
+        return Shown(groom, name)
+    from detangled.labeling import label
+    from detangled_cli.label_summary import is_readable, summary, why_unread
+
+    announce_first_run("labeling.points_per_turn")
+    with progress_bar(f"labels of {name}", groom.strand_count) as bar:
+        labels = label(groom, bar.update)
+    facts: dict[str, Any] = summary(labels)
+    if not is_readable(facts):
+        warn(f"{name}: none of its strands can be labelled: {why_unread(facts)}")
+        return Shown(groom, name)
+    return Shown(groom, name, labels, facts)
+
+
+def _names(sources: list[Path]) -> list[str]:
+    """What the page calls grooms: each file's name, and its folder where names are equal."""
+    names = [path.name for path in sources]
+    return [path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}" for path in sources]
