@@ -32,7 +32,7 @@ FLAGS = (
     "--force-color-profile=srgb",
     "--remote-debugging-pipe",
 )
-PATIENCE_S = float(os.environ.get("PATIENCE", "60"))  # software rendering on a busy machine
+PATIENCE_S = 60.0  # software rendering on a busy machine
 
 
 def find() -> str:
@@ -124,8 +124,10 @@ class Chromium:
         )
 
     def open(self, path: Path) -> None:
-        """Load a file."""
-        self.ask("Page.navigate", url=path.resolve().as_uri())
+        """Load a file, and wait until there is something of it."""
+        url = path.resolve().as_uri()
+        self.ask("Page.navigate", url=url)
+        self.wait_for(f"location.href === {json.dumps(url)} && document.body !== null")
 
     def evaluate(self, expression: str) -> Any:
         """The value of a JavaScript expression in the page, awaited."""

@@ -10,6 +10,7 @@ import zlib
 from collections.abc import Callable
 from dataclasses import replace
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 from typing import Any
 
@@ -78,7 +79,7 @@ class Decoded:
         planes = [self.array(name, "u1").astype(np.int64) for name in names]
         steps = np.stack([(planes[2 * c] << 8) + planes[2 * c + 1] for c in range(3)], axis=1)
         out = np.empty_like(steps)
-        for a, b in zip(offsets[:-1], offsets[1:], strict=True):
+        for a, b in pairwise(offsets):
             out[a:b] = np.cumsum(steps[a:b], axis=0) & 0xFFFF
         return out
 
@@ -124,7 +125,14 @@ def test_arrays_are_packed_lowest_byte_first() -> None:
 
 def test_what_cannot_be_drawn_is_left_out_and_counted() -> None:
     good = [[0.0, 0, 0], [1, 0, 0], [1, 0, 0], [2, 1, 0]]
-    strands = [[[5.0, 5, 5]], good, [[3.0, 3, 3], [3, 3, 3]], [], [[np.nan, 0, 0], [1, 1, 1], [2, 2, 2]], [[1e30, 0, 0]]]
+    strands = [
+        [[5.0, 5, 5]],
+        good,
+        [[3.0, 3, 3], [3, 3, 3]],
+        [],
+        [[np.nan, 0, 0], [1, 1, 1], [2, 2, 2]],
+        [[1e30, 0, 0]],
+    ]
     groom = Groom.from_strands([np.reshape(strand, (-1, 3)) for strand in strands])
     made = page([Shown(groom, "odd.abc")])
     decoded = Decoded(made.text)
@@ -217,9 +225,9 @@ def test_a_head_that_is_not_finite_is_refused() -> None:
 def test_many_points_become_fewer_and_that_is_said() -> None:
     t = np.linspace(0, 1, 400)[:, None]
     strand = np.hstack([np.cos(60 * t), -20 * t, np.sin(60 * t)])  # 9.5 turns of 42 points
-    groom = Groom.from_strands([strand + [k, 0, 0] for k in range(20)])
+    groom = Groom.from_strands([strand + np.array([k, 0, 0]) for k in range(20)])
     fewer, rows, notes = thinned(groom, 4000)
-    assert len(fewer.points) <= 4000 < 4001 <= len(groom.points)
+    assert len(fewer.points) <= 4000
     np.testing.assert_array_equal(rows, np.arange(20))
     assert len(notes) == 1
     assert "one in 2.0" in notes[0]
@@ -232,7 +240,7 @@ def test_where_curls_would_suffer_strands_are_left_out_instead() -> None:
     t = np.linspace(0, 1, 100)[:, None]
     strand = np.hstack([np.cos(60 * t), -20 * t, np.sin(60 * t)])  # 9.5 turns of 10 points
     broken = np.full((3, 3), np.nan)
-    groom = Groom.from_strands([broken, *(strand + [k, 0, 0] for k in range(20))])
+    groom = Groom.from_strands([broken, *(strand + np.array([k, 0, 0]) for k in range(20))])
     made = page([Shown(groom, "many")], most_points=1000)
     decoded = Decoded(made.text)
     strands = decoded.strands(decoded.about["hairs"][0])
@@ -272,7 +280,12 @@ def test_names_cannot_break_out_of_the_page() -> None:
 def test_the_template_is_built_from_the_sources_beside_it() -> None:
     """`npm ci && npm run build` in view/web after a change there."""
     web = VIEW / "web"
-    names = ["build.mjs", "package-lock.json", "package.json", *sorted(f"src/{p.name}" for p in (web / "src").iterdir())]
+    names = [
+        "build.mjs",
+        "package-lock.json",
+        "package.json",
+        *sorted(f"src/{p.name}" for p in (web / "src").iterdir()),
+    ]
     digest = hashlib.sha256()
     for name in names:
         digest.update(f"{name}\n".encode() + (web / name).read_bytes())
@@ -300,7 +313,11 @@ def test_an_interrupted_page_leaves_the_old_one(tmp_path: Path, monkeypatch: pyt
 def test_one_strand_is_enough_and_none_is_not() -> None:
     decoded = Decoded(page([Shown(tuft(1), "one")]).text)
     assert len(decoded.strands(decoded.about["hairs"][0])) == 1
-    for empty in (Groom.from_strands([]), Groom.from_strands([[[1.0, 2, 3]]]), Groom.from_strands([np.full((4, 3), np.nan)])):
+    for empty in (
+        Groom.from_strands([]),
+        Groom.from_strands([[[1.0, 2, 3]]]),
+        Groom.from_strands([np.full((4, 3), np.nan)]),
+    ):
         with pytest.raises(ReadError, match=r"bald\.abc has no strand"):
             page([Shown(empty, "bald.abc")])
 

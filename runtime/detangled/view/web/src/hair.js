@@ -63,6 +63,7 @@ export function drawnHair(hair, shared, width, extent, onHead) {
   return {
     grid,
     meshes: meshes.map(({ mesh }) => mesh),
+    segments: hair.offsets[strands] - strands,
     // Strands come shuffled: the first ones are a fair part of all. scale: pixels per cm.
     show(fraction, scale) {
       // A parabola's chord leaves it by an eighth of the second difference; n pieces divide that by n squared.

@@ -7,7 +7,8 @@ const FIELD_OF_VIEW = 26; // degrees over the shorter side, as pictures have it:
 const MARGIN = 0.06;
 const SLOW_MS = 45; // a frame beyond it draws fewer strands next time
 const QUICK_MS = 22;
-const FEWEST = 0.03; // of the strands
+const FEWEST = 0.02; // of the strands
+const FLUENT = 1_500_000; // segments that most machines turn without a hitch
 const STILL_MS = 140; // after which all strands are drawn again
 const TURN = Math.PI / 18; // by one press of an arrow key
 
@@ -56,6 +57,7 @@ export class Stage {
     scene.add(...drawn.meshes);
     this.naturalWidth = width;
     this.sides.push({ scene, drawn });
+    this.fraction = Math.min(this.fraction, FLUENT / drawn.segments);
     return scene;
   }
 
@@ -154,7 +156,7 @@ export class Stage {
   }
 
   pace(milliseconds) {
-    if (milliseconds > SLOW_MS) this.fraction = Math.max(FEWEST, 0.7 * this.fraction);
+    if (milliseconds > SLOW_MS) this.fraction = Math.max(FEWEST, (this.fraction * 30) / milliseconds);
     else if (milliseconds < QUICK_MS) this.fraction = Math.min(1, 1.15 * this.fraction);
   }
 
