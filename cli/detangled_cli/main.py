@@ -39,7 +39,7 @@ VERBS = {
     "generate": Verb("detangled_cli.generate", "command", "Make loose strands of a texture."),
     "fit": Verb("detangled_cli.fit", "command", "Learn a texture from a few strands, to use it often."),
     "render": Verb("detangled_cli.render", "command", "Draw a groom as a picture."),
-    "view": Verb("detangled_cli.view", "command", "Show a groom in a browser: one page, no network."),
+    "view": Verb("detangled_cli.view", "command", "Show a groom in a browser, in one page."),
     "guides": Verb("detangled_cli.guides", "command", "Write a groom's style guides: strands without curl."),
     "convert": Verb("detangled_cli.convert", "command", "Convert a groom to another file format or unit."),
     "label": Verb("detangled_cli.label", "command", "Read the texture of hair: radius, wavelength, twist, type."),

@@ -52,15 +52,17 @@ def command(
     unit: str | None,
     threads: int | None,
 ) -> None:
-    """Show a groom in a browser: one page that needs no network.
+    """Show a groom in a browser, in one page.
 
-    The page turns and zooms, colours strands by radius, wavelength, twist or type, and says what hair it is. Without
-    PAGE.html it is written into the current folder, named after the last groom.
+    The page needs no network and can be sent to others. In it the hair is turned and zoomed, strands are coloured by
+    radius, wavelength, twist or type, and what hair it is stands beside. Without PAGE.html it is written into the
+    current folder, named after the last groom.
 
     \b
     Example:
       detangled view groom.abc
       detangled view before.abc --after coily.abc comparison.html --open
+      detangled view dense.abc --head head.obj --no-labels
     """
     sources = [source] if after is None else [source, after]
     target = target or Path(f"{sources[-1].stem}.html")
@@ -90,7 +92,7 @@ def command(
 
     set_threads(threads)
     shown = [_shown(groom, name, no_labels) for groom, name in zip(grooms, _names(sources), strict=True)]
-    made = page.page(shown, head)
+    made = page.page(shown, head, threads=threads)
     for sentence in made.notes:
         warn(sentence)
     page.save(made, target)

@@ -25,7 +25,7 @@ from detangled.groom import Groom
 from detangled.grooming.guides import usable_strands
 from detangled.head import Head
 from detangled.view.camera import view_rotation
-from detangled.view.page_points import STEPS, Gridded, gridded, packed, packed_places
+from detangled.view.page_points import STEPS, Gridded, byte_planes, gridded, packed
 from detangled.view.page_thinning import MOST_POINTS, thinned
 from detangled.view.picture import natural_width
 
@@ -64,16 +64,23 @@ class Page:
     notes: tuple[str, ...]
 
 
-def page(shown: Sequence[Shown], head: Head | None = None, most_points: int = MOST_POINTS) -> Page:
+def page(
+    shown: Sequence[Shown],
+    head: Head | None = None,
+    *,
+    most_points: int = MOST_POINTS,
+    threads: int | None = None,
+) -> Page:
     """Make the page of one groom, or of two, before and after, seen alike.
 
     head: drawn with them, in the axes of the first. most_points: of each groom; one of more is thinned out.
-    The same grooms give the same text. Raises ReadError where a groom has no strand that can be drawn,
+    threads: to pack with, all cores where None. The same grooms give the same text.
+    Raises ReadError where a groom has no strand that can be drawn,
     DetangledError for another number of grooms.
     """
     if not 1 <= len(shown) <= 2:
         raise DetangledError(f"a page shows one groom or two, not {len(shown)}")
-    streams: list[str] = []
+    streams: list[NDArray[Any]] = []
     hairs = [_hair(each, most_points, streams) for each in shown]
     boxes = [(hair["low"], hair["high"]) for hair in hairs]
     mesh = _mesh(head, shown[0].groom.up, streams) if head is not None and len(head.faces) else None
@@ -92,7 +99,7 @@ def page(shown: Sequence[Shown], head: Head | None = None, most_points: int = MO
         "head": mesh,
     }
     notes = tuple(f"{each.name}: {note}" for each, hair in zip(shown, hairs, strict=True) for note in hair["notes"])
-    return Page(_filled(about, streams), width, notes)
+    return Page(_filled(about, packed(streams, threads)), width, notes)
 
 
 def save(made: Page, path: str | os.PathLike[str]) -> None:
@@ -111,13 +118,15 @@ def check_target(path: str | os.PathLike[str]) -> None:
     check_folder(path)
 
 
-def _hair(shown: Shown, most_points: int, streams: list[str]) -> dict[str, Any]:
+def _hair(shown: Shown, most_points: int, streams: list[NDArray[Any]]) -> dict[str, Any]:
     """What the page is told of a groom; its arrays are added to ``streams``."""
     groom = shown.groom
     # Shuffled, so that the first strands are a fair part of all; alike before and after, where they are as many.
     order = np.random.default_rng(SEED).permutation(groom.strand_count)
     bare = replace(groom, attributes={}).select(order)
-    bare = replace(bare, points=bare.points @ view_rotation("front", groom.up).T)
+    turn = view_rotation("front", groom.up)
+    if not np.array_equal(turn, np.eye(3)):
+        bare = replace(bare, points=bare.points @ turn.T)
     thin, kept, notes = thinned(bare, most_points)
     grid = gridded(thin.points, thin.offsets)
     if len(grid.ids) == 0:
@@ -140,14 +149,14 @@ def _hair(shown: Shown, most_points: int, streams: list[str]) -> dict[str, Any]:
         "high": grid.high.tolist(),
         "origin": grid.origin.tolist(),
         "step": grid.step,
-        "points": _added(streams, packed_places(grid.places, grid.offsets)),
+        "points": _added(streams, byte_planes(grid.places, grid.offsets)),
         **_streamed(streams, counts=np.diff(grid.offsets).astype(np.uint32), ids=rows.astype(np.uint32)),
         "labels": None if shown.labels is None else _labels(shown.labels, rows, streams),
         "facts": None if shown.facts is None else dict(shown.facts),
     }
 
 
-def _labels(labels: Labels, rows: NDArray[np.int64], streams: list[str]) -> dict[str, Any]:
+def _labels(labels: Labels, rows: NDArray[np.int64], streams: list[NDArray[Any]]) -> dict[str, Any]:
     kinds = labels.kind[rows]
     about: dict[str, Any] = _streamed(streams, type=np.where(kinds < 0, NO_TYPE, kinds).astype(np.uint8))
     for name in ("radius", "wavelength", "twist"):
@@ -160,7 +169,7 @@ def _labels(labels: Labels, rows: NDArray[np.int64], streams: list[str]) -> dict
     return about
 
 
-def _mesh(head: Head, up: str, streams: list[str]) -> dict[str, Any]:
+def _mesh(head: Head, up: str, streams: list[NDArray[Any]]) -> dict[str, Any]:
     points = head.vertices @ view_rotation("front", up).T
     if not np.isfinite(points).all():
         raise ReadError("the head has vertices that are not finite")
@@ -171,7 +180,7 @@ def _mesh(head: Head, up: str, streams: list[str]) -> dict[str, Any]:
         "origin": whole.origin.tolist(),
         "step": whole.step,
         "count": len(points),
-        "vertices": _added(streams, packed_places(whole.places, whole.offsets)),
+        "vertices": _added(streams, byte_planes(whole.places, whole.offsets)),
         **_streamed(streams, faces=head.faces.astype(np.uint32)),
     }
 
@@ -184,23 +193,23 @@ def _whole(points: NDArray[np.float64]) -> Gridded:
     return Gridded(places, np.array([0, len(points)]), np.zeros(1, np.int64), low, step, high)
 
 
-def _streamed(streams: list[str], **arrays: NDArray[Any]) -> dict[str, str]:
+def _streamed(streams: list[NDArray[Any]], **arrays: NDArray[Any]) -> dict[str, str]:
     """The names of the streams that these arrays become."""
-    return dict(zip(arrays, _added(streams, packed(list(arrays.values()))), strict=True))
+    return dict(zip(arrays, _added(streams, list(arrays.values())), strict=True))
 
 
-def _added(streams: list[str], texts: Sequence[str]) -> list[str]:
-    streams.extend(texts)
-    return [f"s{number}" for number in range(len(streams) - len(texts), len(streams))]
+def _added(streams: list[NDArray[Any]], arrays: Sequence[NDArray[Any]]) -> list[str]:
+    streams.extend(arrays)
+    return [f"s{number}" for number in range(len(streams) - len(arrays), len(streams))]
 
 
-def _filled(about: dict[str, Any], streams: Sequence[str]) -> str:
+def _filled(about: dict[str, Any], texts: Sequence[str]) -> str:
     template = files("detangled.view").joinpath("page_template.html").read_text(encoding="utf-8")
     # No name may end the element that holds it.
     facts = json.dumps(about, allow_nan=False, separators=(",", ":")).replace("<", "\\u003c")
     data = [f'<script type="application/json" id="page">{facts}</script>']
     data += [
-        f'<script type="application/octet-stream" id="s{number}">{text}</script>' for number, text in enumerate(streams)
+        f'<script type="application/octet-stream" id="s{number}">{text}</script>' for number, text in enumerate(texts)
     ]
     before, after = template.split("<!--DATA-->")
     return before.replace("<!--TITLE-->", html.escape(about["title"])) + "\n".join(data) + after

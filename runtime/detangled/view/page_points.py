@@ -7,10 +7,12 @@ points come first and then the low ones, axis by axis, since the former are near
 from __future__ import annotations
 
 import base64
+import os
 import zlib
 from collections.abc import Sequence
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
+from typing import Any
 
 import numpy as np
 from numpy.typing import NDArray
@@ -49,9 +51,10 @@ def gridded(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> Gridded:
     Left out: points that are not finite or beyond 10 km, points that fall on the one before, and strands of fewer than
     two points then.
     """
-    good = (np.abs(points) < FARTHEST_CM).all(axis=1)  # false for NaN
     strand = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
-    points, strand = points[good], strand[good]
+    good = (np.abs(points) < FARTHEST_CM).all(axis=1)  # false for NaN
+    if not good.all():
+        points, strand = points[good], strand[good]
     if len(points) == 0:
         nothing = np.empty(0, dtype=np.int64)
         return Gridded(np.empty((0, 3), np.uint16), offsets_of(nothing), nothing, np.zeros(3), 1.0, np.zeros(3))
@@ -63,26 +66,29 @@ def gridded(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> Gridded:
     counts = np.bincount(strand[kept], minlength=len(offsets) - 1)
     kept &= counts[strand] >= 2
     ids = np.flatnonzero(counts >= 2)
-    return Gridded(places[kept], offsets_of(counts[ids]), ids, low, step, high)
+    return Gridded(places if kept.all() else places[kept], offsets_of(counts[ids]), ids, low, step, high)
 
 
-def packed_places(places: NDArray[np.uint16], offsets: NDArray[np.int64]) -> list[str]:
-    """The PLANES texts of places (P, 3) on a grid, in strands by offsets (S + 1,)."""
+def byte_planes(places: NDArray[np.uint16], offsets: NDArray[np.int64]) -> list[NDArray[np.uint8]]:
+    """Places (P, 3) on a grid, in strands by offsets (S + 1,), as PLANES arrays (P,)."""
     steps = places.copy()
     steps[1:] -= places[:-1]  # modulo 65536, as the page adds them up again
     first = offsets[:-1][np.diff(offsets) > 0]
     steps[first] = places[first]
-    planes = [part for axis in range(3) for part in (steps[:, axis] >> 8, steps[:, axis] & 0xFF)]
-    return packed([plane.astype(np.uint8) for plane in planes])
+    pairs = np.ascontiguousarray(steps.T, dtype="<u2").view(np.uint8).reshape(3, -1, 2)  # (3, P, low and high)
+    return [np.ascontiguousarray(pairs[axis, :, k]) for axis in range(3) for k in (1, 0)]
 
 
-def packed(arrays: Sequence[NDArray[np.generic]]) -> list[str]:
-    """Arrays as text: their bytes, lowest first, deflated (zlib's format), in base64."""
-    # zlib lets go of the interpreter's lock; the texts do not depend on the number of threads.
-    with ThreadPoolExecutor() as pool:
+def packed(arrays: Sequence[NDArray[Any]], threads: int | None = None) -> list[str]:
+    """Arrays as text: their bytes, lowest first, deflated (zlib's format), in base64.
+
+    threads: to use at most, all cores where None; the texts do not depend on it.
+    """
+    # zlib lets go of the interpreter's lock.
+    with ThreadPoolExecutor(threads or os.cpu_count()) as pool:
         return list(pool.map(_text, arrays))
 
 
-def _text(array: NDArray[np.generic]) -> str:
+def _text(array: NDArray[Any]) -> str:
     ordered = np.ascontiguousarray(array, dtype=array.dtype.newbyteorder("<"))
     return base64.b64encode(zlib.compress(ordered.tobytes(), LEVEL)).decode("ascii")

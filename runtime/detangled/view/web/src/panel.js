@@ -139,8 +139,9 @@ export function legend(by, range, counts, hidden, toggled) {
     ramp.style.background = rampCss;
     const middle = by === "twist" ? 0.5 : Math.sqrt(range[0] * range[1]);
     const unit = by === "twist" ? "" : " cm";
+    const grey = element("p", { className: "small", textContent: `Grey: ${by === "twist" ? "" : "straight, or "}not read.` });
     const ends = [range[0], middle, range[1]].map((value) => element("span", { textContent: `${size(value)}${unit}` }));
-    box.replaceChildren(ramp, element("div", { className: "ends" }, ...ends));
+    box.replaceChildren(ramp, element("div", { className: "ends" }, ...ends), grey);
     return;
   }
   const names = [...TYPES, "not read"];
@@ -174,12 +175,11 @@ export function factsOf(page) {
   }
   const labelled = hairs.some(({ facts }) => facts);
   const rows = [["strands", hairs.map(({ strands }) => strands.toLocaleString("en"))]];
-  // Radius, wavelength and twist describe these alone, which may be few.
   if (labelled) rows.push(["curled", hairs.map(({ facts }) => (facts ? percent(facts.readings.read / facts.strands) : "–"))]);
   rows.push(["points", hairs.map(({ pointCount }) => pointCount.toLocaleString("en"))]);
   if (labelled) {
     for (const [name, key] of [["length, cm", "length_cm"], ["radius, cm", "radius_cm"], ["wavelength, cm", "wavelength_cm"], ["twist", "twist"]]) {
-      rows.push([name, hairs.map(({ facts }) => spread(facts?.[key]))]);
+      rows.push([name, hairs.map(({ facts }) => (facts && tells(facts, key) ? spread(facts[key]) : "–"))]);
     }
   }
   const table = element("table");
@@ -211,6 +211,9 @@ function percent(share) {
   if (share >= 0.995 && share < 1) return ">99 %";
   return `${Math.round(100 * share)} %`;
 }
+
+// Radius, wavelength and twist are those of curled strands: of a few among many they would describe the wrong hair.
+const tells = (facts, key) => key === "length_cm" || facts.readings.read >= 0.01 * facts.strands;
 
 const sentence = (text) => `${text[0].toUpperCase()}${text.slice(1)}${/[.!?]$/.test(text) ? "" : "."}`;
 
