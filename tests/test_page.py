@@ -178,6 +178,20 @@ def test_before_and_after_may_differ_in_number_and_are_seen_alike() -> None:
     assert made.strand_width == page([Shown(after, "after"), Shown(before, "before")]).strand_width
 
 
+@pytest.mark.parametrize(
+    ("after", "said"),
+    [
+        (lambda groom: groom.points * 0.5, None),
+        (lambda groom: groom.points * 100.0, "after is 1e+02 times as large as before: --unit says"),
+        (lambda groom: groom.points + 200.0, "after lies 346 cm away from before"),
+    ],
+)
+def test_grooms_that_do_not_go_together_are_told_of(after: Callable[[Groom], np.ndarray], said: str | None) -> None:
+    groom = tuft()
+    notes = page([Shown(groom, "before"), Shown(replace(groom, points=after(groom)), "after")]).notes
+    assert (len(notes) == 0) if said is None else (said in notes[0])
+
+
 # --- what goes with the hair ---
 
 
@@ -374,6 +388,8 @@ def test_the_command_labels_both_grooms(tuft_file: Path, tmp_path: Path) -> None
         (("missing.abc", "page.html"), 3, "no such file"),
         (("tuft.npz", "page.html", "--after", "missing.abc"), 3, "no such file"),
         (("tuft.html", "tuft.html"), 5, "is an input"),
+        (("tuft.npz", "page.html", "--head", "missing.obj"), 3, "no such file"),
+        (("tuft.npz", "page.html", "--head-unit", "cm"), 2, "go with --head"),
         ((), 2, "Missing argument 'IN'"),
     ],
 )
@@ -388,6 +404,20 @@ def test_bad_words_are_refused_in_a_line(
     assert len(done.stderr.strip().splitlines()) == 1
     assert not Path("page.html").exists()
     assert Path("tuft.html").read_text() == "something"
+
+
+def test_the_command_takes_a_head_along(grooms: Callable[[str], Path], tmp_path: Path) -> None:
+    target = tmp_path / "page.html"
+    head = grooms("heads/vitruvian_head.obj")
+    done = run(grooms("bob.abc"), target, "--head", head, "--no-labels", "--unit", "m", "-q")
+    assert (done.exit_code, done.output) == (0, "")
+    decoded = Decoded(target.read_text(encoding="utf-8"))
+    about = decoded.about["head"]
+    assert about["count"] == 17126
+    assert decoded.array(about["faces"], "<u4").max() == 17125
+    (hair,) = decoded.about["hairs"]
+    assert np.all(np.array(about["low"]) < hair["high"])
+    assert np.all(np.array(about["high"]) > hair["low"])
 
 
 def test_real_hair_is_shown_whole(grooms: Callable[[str], Path], tmp_path: Path) -> None:

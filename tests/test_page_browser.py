@@ -9,8 +9,10 @@ from pathlib import Path
 
 import numpy as np
 import pytest
+import trimesh
 
 from chromium import Chromium
+from detangled.head import Head
 from detangled.view.page import Shown, page, save
 from detangled_cli.label_summary import summary
 from test_page import some_labels, tuft
@@ -164,6 +166,21 @@ def test_it_fits_a_phone(opened: Chromium) -> None:
     assert opened.evaluate("document.querySelector('#panel').scrollHeight") > 300
     drawn = opened.picture()[: 2 * 460].astype(int)
     assert hair_in(drawn).mean() > 0.03
+
+
+def test_a_head_is_shown_and_hidden(browser: Chromium, tmp_path: Path) -> None:
+    ball = trimesh.creation.icosphere(3, radius=4.0)
+    save(page([Shown(tuft(), "tuft")], Head(ball.vertices, ball.faces)), tmp_path / "head.html")
+    browser.events.clear()
+    browser.resize((WIDTH, HEIGHT))
+    browser.open(tmp_path / "head.html")
+    with_head = settled(browser)
+    browser.evaluate("document.querySelector('#head').click()")
+    without = settled(browser)
+    changed = np.abs(with_head - without).max(axis=2) > 10
+    assert 0.1 < changed.mean() < 0.7
+    assert np.ptp(with_head, axis=2)[changed].mean() < np.ptp(without, axis=2)[hair_in(without)].mean()  # it is grey
+    assert browser.complaints() == []
 
 
 def test_a_damaged_page_says_so(browser: Chromium, tmp_path: Path) -> None:

@@ -8,6 +8,8 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from detangled_cli.console import (
+    UNIT,
+    UNIT_NAMES,
     announce_first_run,
     input_argument,
     note,
@@ -20,6 +22,7 @@ from detangled_cli.console import (
 
 if TYPE_CHECKING:
     from detangled.groom import Groom
+    from detangled.head import Head
     from detangled.view.page import Shown
 
 
@@ -32,7 +35,11 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="A second groom, seen alike: a divider wipes between IN and it.",
 )
-@click.option("--head", "head_path", metavar="MESH", type=click.Path(path_type=Path), help="The head under the hair.")
+@click.option("--head", metavar="MESH", type=click.Path(path_type=Path), help="A head or body to show under the hair.")
+@click.option("--head-unit", type=UNIT, metavar="U", help=f"Unit of MESH: {UNIT_NAMES}.")
+@click.option(
+    "--head-group", metavar="G", help="Groups, objects or materials of MESH to show, with commas between them."
+)
 @click.option(
     "--no-labels",
     is_flag=True,
@@ -46,7 +53,9 @@ def command(
     source: Path,
     target: Path | None,
     after: Path | None,
-    head_path: Path | None,
+    head: Path | None,
+    head_unit: str | None,
+    head_group: str | None,
     no_labels: bool,
     opened: bool,
     unit: str | None,
@@ -64,35 +73,29 @@ def command(
       detangled view before.abc --after coily.abc comparison.html --open
       detangled view dense.abc --head head.obj --no-labels
     """
+    if head is None and (head_unit or head_group):
+        raise click.UsageError("--head-unit and --head-group go with --head")
     sources = [source] if after is None else [source, after]
     target = target or Path(f"{sources[-1].stem}.html")
 
     from detangled.errors import WriteError
     from detangled.formats import read
+    from detangled.kernels import set_threads
     from detangled.view import page
 
     page.check_target(target)
-    for path in [*sources, *([head_path] if head_path is not None else [])]:
+    for path in [*sources, *([] if head is None else [head])]:
         if target.exists() and path.exists() and target.samefile(path):
             raise WriteError(f"{target}: is an input, which would be lost: choose another file")
+    set_threads(threads)
     grooms = []
     for path in sources:
         grooms.append(read(path, unit=unit))
         for sentence in grooms[-1].notes:
             warn(f"{path}: {sentence}")
-    head = None
-    if head_path is not None:
-        from detangled.formats.meshes import read_head
-
-        head = read_head(head_path)
-        for sentence in head.notes:
-            warn(f"{head_path}: {sentence}")
-
-    from detangled.kernels import set_threads
-
-    set_threads(threads)
+    mesh = None if head is None else _mesh(grooms[0], head, head_unit, head_group)
     shown = [_shown(groom, name, no_labels) for groom, name in zip(grooms, _names(sources), strict=True)]
-    made = page.page(shown, head, threads=threads)
+    made = page.page(shown, mesh, threads=threads)
     for sentence in made.notes:
         warn(sentence)
     page.save(made, target)
@@ -117,6 +120,24 @@ def _shown(groom: Groom, name: str, no_labels: bool) -> Shown:
         warn(f"{name}: none of its strands can be labelled: {why_unread(facts)}")
         return Shown(groom, name)
     return Shown(groom, name, labels, facts)
+
+
+def _mesh(groom: Groom, path: Path, unit: str | None, group: str | None) -> Head:
+    """The head that a groom grows on, in the groom's frame. Raises ReadError where they do not fit."""
+    from detangled.formats.meshes import read_head
+    from detangled.grooming.head_fit import fitted_to
+
+    from detangled.errors import ReadError
+
+    announce_first_run("placing.resample")
+    try:
+        head = fitted_to(read_head(path, unit=unit, group=group), groom)
+    except ReadError as error:
+        told = str(error)
+        raise ReadError(told if told.startswith(str(path)) else f"{path}: {told}") from error
+    for sentence in head.notes:
+        warn(f"{path}: {sentence}")
+    return head
 
 
 def _names(sources: list[Path]) -> list[str]:

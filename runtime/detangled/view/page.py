@@ -39,6 +39,7 @@ NO_TYPE = 0xFF
 LABEL_STEPS = 65534
 # A step of the grid that a page keeps points on; with longer ones curls look coarse.
 COARSE_STEP_CM = 0.01
+MOST_TIMES = 8.0  # that a groom is as large as another: coils shrink hair, hardly more than that
 
 
 @dataclass(frozen=True)
@@ -98,8 +99,10 @@ def page(
         "hairs": hairs,
         "head": mesh,
     }
-    notes = tuple(f"{each.name}: {note}" for each, hair in zip(shown, hairs, strict=True) for note in hair["notes"])
-    return Page(_filled(about, packed(streams, threads)), width, notes)
+    notes = [f"{each.name}: {note}" for each, hair in zip(shown, hairs, strict=True) for note in hair["notes"]]
+    if len(hairs) == 2:
+        notes += _misfit(*hairs)
+    return Page(_filled(about, packed(streams, threads)), width, tuple(notes))
 
 
 def save(made: Page, path: str | os.PathLike[str]) -> None:
@@ -154,6 +157,20 @@ def _hair(shown: Shown, most_points: int, streams: list[NDArray[Any]]) -> dict[s
         "labels": None if shown.labels is None else _labels(shown.labels, rows, streams),
         "facts": None if shown.facts is None else dict(shown.facts),
     }
+
+
+def _misfit(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
+    """What looks as if two grooms were not of one unit or place; nothing where they go together."""
+    boxes = [np.array([hair["low"], hair["high"]]) for hair in (before, after)]
+    sizes = [max(float(np.linalg.norm(box[1] - box[0])), 1e-6) for box in boxes]
+    large, small = (after, before) if sizes[1] > sizes[0] else (before, after)
+    times = max(sizes) / min(sizes)
+    if times > MOST_TIMES:
+        return [f"{large['name']} is {times:.2g} times as large as {small['name']}: --unit says the unit of both"]
+    apart = float(np.linalg.norm(boxes[0].mean(axis=0) - boxes[1].mean(axis=0)))
+    if apart > sum(sizes):
+        return [f"{after['name']} lies {apart:.0f} cm away from {before['name']}, so both look small"]
+    return []
 
 
 def _labels(labels: Labels, rows: NDArray[np.int64], streams: list[NDArray[Any]]) -> dict[str, Any]:
