@@ -166,7 +166,7 @@ def _misfit(before: dict[str, Any], after: dict[str, Any]) -> list[str]:
     large, small = (after, before) if sizes[1] > sizes[0] else (before, after)
     times = max(sizes) / min(sizes)
     if times > MOST_TIMES:
-        return [f"{large['name']} is {times:.2g} times as large as {small['name']}: --unit says the unit of both"]
+        return [f"{large['name']} is {times:,.0f} times as large as {small['name']}: --unit says the unit of both"]
     apart = float(np.linalg.norm(boxes[0].mean(axis=0) - boxes[1].mean(axis=0)))
     if apart > sum(sizes):
         return [f"{after['name']} lies {apart:.0f} cm away from {before['name']}, so both look small"]
