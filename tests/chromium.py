@@ -32,7 +32,7 @@ FLAGS = (
     "--force-color-profile=srgb",
     "--remote-debugging-pipe",
 )
-PATIENCE_S = 60.0  # software rendering on a busy machine
+PATIENCE_S = 180.0  # software rendering on a busy machine
 
 
 def find() -> str:
