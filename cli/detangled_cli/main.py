@@ -39,6 +39,7 @@ VERBS = {
     "generate": Verb("detangled_cli.generate", "command", "Make loose strands of a texture."),
     "fit": Verb("detangled_cli.fit", "command", "Learn a texture from a few strands, to use it often."),
     "render": Verb("detangled_cli.render", "command", "Draw a groom as a picture."),
+    "view": Verb("detangled_cli.view", "command", "Show a groom in a browser, in one page."),
     "guides": Verb("detangled_cli.guides", "command", "Write a groom's style guides: strands without curl."),
 <<<<<<< HEAD
     "hairs": Verb("detangled_cli.hairs", "command", "Make render hairs of guide strands."),
