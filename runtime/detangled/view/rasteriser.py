@@ -1,4 +1,4 @@
-"""Strands to pixels: round ribbons with a z-buffer, supersampled, shaded where they are seen.
+"""Strands and a head to pixels: round ribbons and triangles with a z-buffer, supersampled, shaded where seen.
 
 Rows of pixels are drawn in bands. A band owns its pixels and meets its segments in one order, so a picture
 does not depend on the number of threads.
@@ -13,8 +13,9 @@ from detangled.groom import offsets_of
 from detangled.kernels import kernel
 from detangled.view.camera import Camera
 from detangled.view.curves import Curves, lens, trace
-from detangled.view.lighting import KEY, RIM, LightGrid
+from detangled.view.lighting import KEY, RIM, LightGrid, light_at
 from detangled.view.shading import Look, shade, tints
+from detangled.view.surface import Surface, colour_faces, cover_faces, on_screen
 from detangled.view.threads import spread
 
 SAMPLES = 3  # along each side of a pixel
@@ -32,8 +33,20 @@ def background(camera: Camera, look: Look) -> NDArray[np.float32]:
     return np.repeat(rows[:, None, :], camera.width, axis=1).astype(np.float32)
 
 
-def draw(curves: Curves, camera: Camera, light: LightGrid, width: float, look: Look) -> NDArray[np.uint8]:
-    """The picture, (height, width, 3) sRGB, of strands ``width`` [cm] wide."""
+def draw(
+    curves: Curves,
+    camera: Camera,
+    light: LightGrid,
+    width: float,
+    look: Look,
+    *,
+    colours: NDArray[np.floating] | None = None,
+    surface: Surface | None = None,
+) -> NDArray[np.uint8]:
+    """The picture, (height, width, 3) sRGB, of strands ``width`` [cm] wide.
+
+    colours: linear RGB of every strand of the groom, (S, 3), in place of the look's. surface: a head under the hair.
+    """
     view = lens(camera, SAMPLES)
     vertices, strands = trace(curves, view, SAMPLES)
     half = np.array([0.5 * width, 0.5 * NARROWEST_PX * SAMPLES])
@@ -45,7 +58,9 @@ def draw(curves: Curves, camera: Camera, light: LightGrid, width: float, look: L
     _bin(vertices, strands, view, half, True, ends[:-1].copy(), segments)
 
     linear = background(camera, look)
-    tint = tints(curves.ids, look)
+    tint = tints(curves.ids, look, colours)
+    screen = None if surface is None else on_screen(surface, camera, SAMPLES)
+    skin = np.array(look.skin)
 
     def draw_bands(begin: int, end: int) -> None:
         for band in range(begin, end):
@@ -56,25 +71,24 @@ def draw(curves: Curves, camera: Camera, light: LightGrid, width: float, look: L
             nearest = np.full(shape, -np.inf, dtype=np.float32)
             farthest = np.full((-(-shape[0] // TILE), -(-shape[1] // TILE)), -np.inf, dtype=np.float32)
             mine = segments[ends[band] : ends[band + 1]]
+            here = linear[top : top + rows]
+            lit = (light.values, light.origin, light.cell, view, KEY, RIM, here)
+            if surface is not None:
+                cover_faces(screen, surface.vertices, surface.faces, top * SAMPLES, nearest, seen)
             _cover(vertices, mine, top * SAMPLES, view, half, nearest, farthest, seen, place)
-            _colour(
-                vertices,
-                strands,
-                seen,
-                place,
-                tint,
-                light.values,
-                light.origin,
-                light.cell,
-                view,
-                KEY,
-                RIM,
-                linear[top : top + rows],
-            )
+            if surface is not None:
+                mesh = (screen, surface.vertices, surface.normals, surface.faces)
+                colour_faces(*mesh, seen, top * SAMPLES, SAMPLES, skin, *lit)
+            _colour(vertices, strands, seen, place, tint, *lit)
 
     spread(draw_bands, bands)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
-    return (255.0 * np.clip(encoded, 0.0, 1.0) + 0.5).astype(np.uint8)
+    return encoded(linear)
+
+
+def encoded(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Linear RGB as sRGB bytes (IEC 61966-2-1)."""
+    curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055)
+    return np.asarray(255.0 * np.clip(curve, 0.0, 1.0) + 0.5).astype(np.uint8)
 
 
 @kernel
@@ -185,24 +199,6 @@ def _tangent(vertices, strands, i, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _light_at(values, x, y, z, out):  # type: ignore[no-untyped-def]
-    """Trilinear lookup, in cells; places outside take the grid's edge."""
-    nx, ny, nz, _ = values.shape
-    x, y, z = min(max(x, 0.0), nx - 1.001), min(max(y, 0.0), ny - 1.001), min(max(z, 0.0), nz - 1.001)
-    ix, iy, iz = int(x), int(y), int(z)
-    fx, fy, fz = x - ix, y - iy, z - iz
-    for c in range(3):
-        out[c] = 0.0
-    for a in range(2):
-        wx = fx if a else 1.0 - fx
-        for b in range(2):
-            wy = wx * (fy if b else 1.0 - fy)
-            for c in range(3):
-                near, far = values[ix + a, iy + b, iz, c], values[ix + a, iy + b, iz + 1, c]
-                out[c] += wy * ((1.0 - fz) * near + fz * far)
-
-
-@kernel
 def _colour(  # type: ignore[no-untyped-def]
     vertices,  # (V, 3)
     strands,  # (V,)
@@ -251,7 +247,7 @@ def _colour(  # type: ignore[no-untyped-def]
                 norm = 1.0 / max(np.sqrt(square), 1e-9)
                 tx, ty, tz = tangent[0] * norm, tangent[1] * norm, tangent[2] * norm
                 px, py, pz = other[0], other[1], other[2]
-                _light_at(values, (px - origin[0]) / cell, (py - origin[1]) / cell, (pz - origin[2]) / cell, reach)
+                light_at(values, (px - origin[0]) / cell, (py - origin[1]) / cell, (pz - origin[2]) / cell, reach)
                 shade(px, py, pz, tx, ty, tz, u, tint[strands[i]], reach, view, key, rim, colour)
                 hits += alike
                 for k in range(3):
