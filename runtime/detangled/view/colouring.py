@@ -18,7 +18,7 @@ CLOSEST_GUIDES = "groom_closest_guides"  # Unreal's attribute: a strand's guides
 
 # Viridis (Smith and van der Walt, 2015, CC0) at nine places, sRGB: lightness rises evenly, for the colour-blind too.
 _VIRIDIS = "440154 472d7b 3b528b 2c728e 21918c 28ae80 5ec962 addc30 fde725"
-UNREAD = (0.30, 0.30, 0.30)
+UNREAD = (0.09, 0.09, 0.09)
 BRIGHTNESS = 0.62  # of a colour, so that highlights on it are not lost
 SPAN = (2.0, 98.0)  # percentiles at the scale's ends
 NARROWEST = 1.25  # ratio of a scale's ends, or all would be noise

@@ -21,7 +21,7 @@ MOST_MELANIN = 10.0
 # The rasteriser sees a strand's own light and not what its neighbours pass on; twice as much looks like such hair,
 # and a little comes back from the surface whatever is inside. Set by eye.
 GAIN, SURFACE = 2.0, 0.008
-BRIGHTEST = 0.75
+BRIGHTEST = 0.55
 
 # Eumelanin and pheomelanin; the amounts were chosen by eye, blond and brown near those usual in renderers.
 MELANIN = {
@@ -29,12 +29,12 @@ MELANIN = {
     "darkbrown": (0.9, 0.05),
     "brown": (0.6, 0.1),
     "lightbrown": (0.38, 0.1),
-    "auburn": (0.42, 0.7),
-    "red": (0.14, 0.75),
+    "auburn": (0.3, 1.1),
+    "red": (0.02, 1.0),
     "blond": (0.2, 0.06),
     "platinum": (0.05, 0.0),
 }
-PLAIN = {"grey": (0.30, 0.30, 0.305), "white": (0.70, 0.70, 0.70)}
+PLAIN = {"grey": (0.14, 0.14, 0.143), "white": (0.5, 0.5, 0.5)}
 _SPELLINGS = {"blonde": "blond", "gray": "grey", "ginger": "red"}
 
 
@@ -42,7 +42,9 @@ Colour = tuple[float, float, float]
 
 
 def hair_colour(text: str) -> Colour:
-    """Linear RGB, as the rasteriser takes it, of a colour that people write: a name, ``#rrggbb``, or ``EUMELANIN`` or ``EUMELANIN/PHEOMELANIN``.
+    """Linear RGB, as the rasteriser takes it, of what people write.
+
+    That is a name, ``#rrggbb``, or ``EUMELANIN`` or ``EUMELANIN/PHEOMELANIN``.
 
     Raises DetangledError where it is none of these.
     """

@@ -27,11 +27,14 @@ HEAD_FARTHEST, HEAD_FARTHEST_CM, HEAD_SMALLEST = 0.5, 10.0, 0.15
 
 @dataclass(frozen=True)
 class Box:
-    """low, high: (3,) corners [cm], along right, up and front of an upright head. strays: strands outside of it."""
+    """low, high: (3,) corners [cm], along right, up and front of an upright head.
+
+    strays: (n,) indices of the strands that were left out.
+    """
 
     low: NDArray[np.float64]
     high: NDArray[np.float64]
-    strays: int = 0
+    strays: NDArray[np.int64]
 
     @property
     def middle(self) -> NDArray[np.float64]:
@@ -50,25 +53,17 @@ def hair_box(groom: Groom) -> Box | None:
     curves = drawable(groom, axes, place)
     if len(curves.ids) == 0:
         return None
-    points, stray = framed_points(curves), strays(curves)
+    left_out = curves.ids[_far(curves)]
+    points = framed_points(curves, left_out)
     move = axes @ place
-    return Box(points.min(axis=0) + move, points.max(axis=0) + move, int(np.count_nonzero(stray)))
+    return Box(points.min(axis=0) + move, points.max(axis=0) + move, left_out)
 
 
-def strays(curves: Curves) -> NDArray[np.bool_]:
-    """Strands that lie far from the rest, (S,)."""
-    low = np.minimum.reduceat(curves.points, curves.offsets[:-1], axis=0).astype(np.float64)
-    high = np.maximum.reduceat(curves.points, curves.offsets[:-1], axis=0).astype(np.float64)
-    middle = np.median(0.5 * (low + high), axis=0)
-    reach = np.max(np.maximum(high - middle, middle - low), axis=1)
-    usual = np.quantile(reach, STRAY_RANK, method="lower")
-    return np.asarray(reach > STRAY_REACH * usual)
-
-
-def framed_points(curves: Curves) -> NDArray[np.float32]:
-    """Points of the strands that are no strays, (n, 3)."""
-    stray = strays(curves)
-    return curves.points[~np.repeat(stray, np.diff(curves.offsets))] if stray.any() else curves.points
+def framed_points(curves: Curves, left_out: NDArray[np.int64]) -> NDArray[np.float32]:
+    """Points of all strands but those of the indices ``left_out``, (n, 3)."""
+    if len(left_out) == 0:
+        return curves.points
+    return curves.points[~np.repeat(np.isin(curves.ids, left_out), np.diff(curves.offsets))]
 
 
 def pivots(boxes: Sequence[Box], axes: Sequence[NDArray[np.float64]]) -> tuple[list[NDArray[np.float64]], bool]:
@@ -103,6 +98,16 @@ def head_misfit(head: Head, groom: Groom, box: Box) -> str | None:
     if gap > max(HEAD_FARTHEST * box.extent, HEAD_FARTHEST_CM):
         return f"is {size:.3g} cm large and lies {gap:.3g} cm from the hair: is its unit or its up axis another?"
     return None
+
+
+def _far(curves: Curves) -> NDArray[np.bool_]:
+    """Strands that lie far from the rest, (S,)."""
+    low = np.minimum.reduceat(curves.points, curves.offsets[:-1], axis=0).astype(np.float64)
+    high = np.maximum.reduceat(curves.points, curves.offsets[:-1], axis=0).astype(np.float64)
+    middle = np.median(0.5 * (low + high), axis=0)
+    reach = np.max(np.maximum(high - middle, middle - low), axis=1)
+    usual = np.quantile(reach, STRAY_RANK, method="lower")
+    return np.asarray(reach > STRAY_REACH * usual)
 
 
 def _somewhere(points: NDArray[np.float64]) -> NDArray[np.float64]:

@@ -21,6 +21,7 @@ PADDING = 2  # empty cells around the hair
 # Marched from the strand itself, a ray would start in the strand's own density and shadow it.
 MARCH_START = 0.01  # of the scene's extent: 0.3 cm on a head
 MARCH_GROWTH = 1.12  # each step is longer than the one before: far hair matters less exactly
+LONGEST_STEP = 4.0  # cells
 AMBIENT_REACH = 0.25  # of the extent: what lies further away does not close off the sky
 # Hair passes on most of the light that meets it; a strand blocks only this part of its drawn width.
 BLOCKING = 0.8
@@ -79,7 +80,9 @@ def light_grid(
     blocking = BLOCKING * width / cell**3
     sky, weights = _dome()
     if surface is not None:
-        _deposit_head(surface.vertices, surface.normals, surface.faces, origin, cell, HEAD_DEPTH / blocking, density)
+        shell = np.zeros_like(density)
+        _deposit_head(surface.vertices, surface.normals, surface.faces, origin, cell, HEAD_DEPTH / blocking, shell)
+        density += _solid(shell, HEAD_DEPTH / blocking)
     rays = np.concatenate([[KEY, RIM], sky])
     values = np.empty((*density.shape, 3), dtype=np.float32)
     # On a head light is looked up a cell outside of it, further from the cells that hold it than hair is.
@@ -89,6 +92,19 @@ def light_grid(
     given = (density, cell * blocking, rays, weights, start, reach, asked, values)
     spread(lambda begin, end: _march(begin, end, *given), len(values))
     return LightGrid(values, origin, cell)
+
+
+def _solid(shell: NDArray[np.float32], inside: float) -> NDArray[np.float32]:
+    """Fill a shell with density ``inside``, since rays step over what is thin and far.
+
+    A cell is inside where the shell is met from it in five of six directions: heads are open at the neck.
+    """
+    wall = shell > 0.0
+    met = np.zeros(shell.shape, dtype=np.int8)
+    for axis in range(3):
+        met += np.logical_or.accumulate(wall, axis=axis)
+        met += np.flip(np.logical_or.accumulate(np.flip(wall, axis), axis=axis), axis)
+    return np.where(met >= 5, np.maximum(shell, np.float32(inside)), shell)
 
 
 @kernel
@@ -188,7 +204,7 @@ def _optical_depth(density, x, y, z, dx, dy, dz, start, reach):  # type: ignore[
                 wy = wx * (fy if b else 1.0 - fy)
                 here += wy * ((1.0 - fz) * density[ix + a, iy + b, iz] + fz * density[ix + a, iy + b, iz + 1])
         total += step * here
-        grown = step * MARCH_GROWTH
+        grown = min(step * MARCH_GROWTH, LONGEST_STEP)
         t += 0.5 * (step + grown)
         step = grown
     return total
@@ -200,7 +216,7 @@ def _march(begin, end, density, blocking, rays, weights, start, reach, asked, va
 
     rays: (2 + n, 3), towards the key, the rim and places in the sky.
     """
-    nx, ny, nz = density.shape
+    _, ny, nz = density.shape
     for i in range(begin, end):
         for j in range(ny):
             for k in range(nz):

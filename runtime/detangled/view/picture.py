@@ -3,7 +3,7 @@
 from __future__ import annotations
 
 import os
-from collections.abc import Iterator, Sequence
+from collections.abc import Callable, Iterator, Sequence
 from dataclasses import dataclass, field, replace
 from pathlib import Path
 
@@ -54,7 +54,7 @@ class Style:
 
     colours: linear RGB of every strand, (S, 3) for each groom, in place of the look's; legend: what they mean.
     zoom: how many times the middle is enlarged. quality: ``"fast"``, or ``"path"`` for path tracing with so many
-    ``samples`` a pixel, which needs mitsuba.
+    ``samples`` a pixel, which needs mitsuba; progress: told of finished ones.
     """
 
     look: Look = field(default_factory=Look)
@@ -64,6 +64,7 @@ class Style:
     zoom: float = 1.0
     quality: str = "fast"
     samples: int = 64
+    progress: Callable[[int], object] | None = None
 
 
 def render(
@@ -201,7 +202,8 @@ def _panel(
     if style.quality == "path":
         from detangled.view.path_tracing import trace_paths
 
-        return trace_paths(curves, camera, width, style.look, style.samples, colours=colours, surface=surface)
+        given = (curves, camera, width, style.look, style.samples)
+        return trace_paths(*given, colours=colours, surface=surface, progress=style.progress)
     # By the groom's own width, so that neither the picture's size nor other grooms change its shadows.
     own = natural_width(len(curves.ids), stage.extent)
     light = light_grid(curves, own, stage.extent, stage.region(number, curves, turn), surface)

@@ -30,7 +30,7 @@ SHIFT_JITTER = 0.06  # from strand to strand: one unbroken band of highlight loo
 # Blue is lost first on the way through hair, so that its depths turn warm instead of black.
 LOSS = (0.80, 1.0, 1.18)
 OCCLUSION_CONTRAST = 1.5
-SKIN = (0.40, 0.335, 0.30)  # linear reflectance of a head: a plain mannequin, lighter than most hair on it
+SKIN = (0.36, 0.275, 0.235)  # linear reflectance of a head: a plain mannequin, lighter than most hair on it
 SHEEN_STRENGTH, SHEEN_EXPONENT = 0.10, 24.0
 INSIDE = 0.45  # of its light that the inside of an open mesh keeps
 WRAP = 0.35  # light reaches this far past a strand's terminator, as it passes through
@@ -51,9 +51,7 @@ class Look:
     skin: tuple[float, float, float] = SKIN
 
 
-def tints(
-    ids: NDArray[np.int64], look: Look, colours: NDArray[np.floating] | None = None
-) -> NDArray[np.float32]:
+def tints(ids: NDArray[np.int64], look: Look, colours: NDArray[np.floating] | None = None) -> NDArray[np.float32]:
     """Colour of each strand and a number that shifts its highlights, (n, 4), from nothing but its index.
 
     colours: linear RGB of every strand, (S, 3), which are kept to the number, in place of the look's.

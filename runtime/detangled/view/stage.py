@@ -52,13 +52,15 @@ class Stage:
 
     def framed(self, curves: Sequence[Curves], turn: NDArray[np.float64]) -> list[NDArray[np.floating]]:
         """Points to be in the picture, (n, 3) each in camera axes: the hair without strays, and the head near it."""
-        return [*(framed_points(c) for c in curves), *self._head_points(turn)]
+        hair = [framed_points(c, box.strays) for c, box in zip(curves, self.boxes, strict=True)]
+        return [*hair, *self._head_points(turn)]
 
     def region(
         self, number: int, curves: Curves, turn: NDArray[np.float64]
     ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Corners of the box around one groom and the head near it, (3,) each in camera axes."""
-        clouds = [framed_points(curves), *self._head_points(turn, number)]
+        hair: NDArray[np.floating] = framed_points(curves, self.boxes[number].strays)
+        clouds = [hair, *self._head_points(turn, number)]
         return (
             np.min([cloud.min(axis=0) for cloud in clouds], axis=0).astype(np.float64),
             np.max([cloud.max(axis=0) for cloud in clouds], axis=0).astype(np.float64),
@@ -110,8 +112,10 @@ def set_up(
         box = hair_box(groom)
         if box is None:
             raise ReadError(f"{name} has no strand of two distinct finite points, so there is nothing to draw")
-        if box.strays:
-            notes.append(f"{name}: {box.strays} strands reach far beyond the others; the picture is framed without them")
+        if len(box.strays):
+            notes.append(
+                f"{name}: {len(box.strays)} strands reach far beyond the others; the picture is framed without them"
+            )
         boxes.append(box)
     axes = [upright(groom.up) for groom in grooms]
     places, apart = pivots(boxes, axes)

@@ -33,24 +33,18 @@ def drawable_surface(head: Head, rotation: NDArray[np.float64], origin: NDArray[
 
     Vertices at one place share a normal, as files repeat them along seams.
     """
-    faces = head.faces[np.isfinite(head.vertices).all(axis=1)[head.faces].all(axis=1)]
+    finite = np.asarray(np.isfinite(head.vertices).all(axis=1))
+    faces = head.faces[finite[head.faces].all(axis=1)]
     vertices = np.where(np.isfinite(head.vertices), head.vertices - origin, 0.0) @ rotation.T
     corners = vertices[faces]
     outward = np.cross(corners[:, 1] - corners[:, 0], corners[:, 2] - corners[:, 0])
-    if len(faces):
-        # Faces of some files are wound the other way round: their volume is negative.
-        middle = corners.mean(axis=(0, 1))
-        if np.einsum("ij,ij->", corners[:, 0] - middle, outward) < 0.0:
-            outward, faces = -outward, faces[:, ::-1]
     _, place = np.unique(vertices, axis=0, return_inverse=True)
     normals = np.zeros((len(vertices), 3))
     for corner in range(3):
         np.add.at(normals, place.reshape(-1)[faces[:, corner]], outward)
     normals = normals[place.reshape(-1)]
     normals /= np.maximum(np.linalg.norm(normals, axis=1, keepdims=True), 1e-12)
-    return Surface(
-        vertices.astype(np.float32), normals.astype(np.float32), np.ascontiguousarray(faces, dtype=np.int32)
-    )
+    return Surface(vertices.astype(np.float32), normals.astype(np.float32), np.ascontiguousarray(faces, dtype=np.int32))
 
 
 def on_screen(surface: Surface, camera: Camera, samples: int) -> NDArray[np.float64]:
