@@ -53,7 +53,9 @@ def save_movie(pictures: Iterable[Picture], path: str | os.PathLike[str], frames
         options |= {"quality": 88, "method": 4}
     with replacing(path) as beside:
         first = next(images)
-        first.save(beside, format=MOVING[suffix], save_all=True, append_images=images, **options)
+        # Pillow goes over the frames of a PNG twice.
+        rest = list(images) if suffix == ".apng" else images
+        first.save(beside, format=MOVING[suffix], save_all=True, append_images=rest, **options)
     return [path]
 
 

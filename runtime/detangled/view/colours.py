@@ -48,7 +48,7 @@ def hair_colour(text: str) -> Colour:
 
     Raises DetangledError where it is none of these.
     """
-    said = text.strip().lower().replace("-", "").replace(" ", "").replace("_", "")
+    said = re.sub(r"(?<=[a-z])[-_ ](?=[a-z])", "", text.strip().lower())
     said = _SPELLINGS.get(said, said)
     if said in MELANIN:
         return by_melanin(*MELANIN[said])

@@ -14,6 +14,7 @@ from detangled.view.camera import upright
 from detangled.view.curves import Curves, drawable
 
 POINTS_TO_PLACE_FROM = 20_000
+PLACES_CM = 16.0  # apart, so that a few strands more or less do not change how the others are rounded
 # A strand is a stray, and not framed, where it reaches this many times further from the middle than nine in ten do.
 STRAY_REACH = 4.0
 STRAY_RANK = 0.9
@@ -114,4 +115,4 @@ def _somewhere(points: NDArray[np.float64]) -> NDArray[np.float64]:
     """A place in the midst of the points, (3,), however many of them are broken."""
     sample = points[:: max(1, len(points) // POINTS_TO_PLACE_FROM)]
     sample = sample[np.isfinite(sample).all(axis=1)]
-    return np.asarray(np.median(sample, axis=0)) if len(sample) else np.zeros(3)
+    return PLACES_CM * np.round(np.median(sample, axis=0) / PLACES_CM) if len(sample) else np.zeros(3)

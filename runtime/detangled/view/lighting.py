@@ -22,6 +22,7 @@ PADDING = 2  # empty cells around the hair
 MARCH_START = 0.01  # of the scene's extent: 0.3 cm on a head
 MARCH_GROWTH = 1.12  # each step is longer than the one before: far hair matters less exactly
 LONGEST_STEP = 4.0  # cells
+LONGEST_STEP_WITH_HEAD = 1.4  # or a ray would step over what is thin of it
 AMBIENT_REACH = 0.25  # of the extent: what lies further away does not close off the sky
 # Hair passes on most of the light that meets it; a strand blocks only this part of its drawn width.
 BLOCKING = 0.8
@@ -79,17 +80,19 @@ def light_grid(
     _deposit(curves.points, curves.offsets, origin, cell, density)
     blocking = BLOCKING * width / cell**3
     sky, weights = _dome()
+    asked, longest = maximum_filter(density > 0.0, size=3), LONGEST_STEP
     if surface is not None:
+        depth = HEAD_DEPTH / blocking
         shell = np.zeros_like(density)
-        _deposit_head(surface.vertices, surface.normals, surface.faces, origin, cell, HEAD_DEPTH / blocking, shell)
-        density += _solid(shell, HEAD_DEPTH / blocking)
+        _deposit_head(surface.vertices, surface.normals, surface.faces, origin, cell, depth, shell)
+        # On a head light is looked up a cell outside of it, further from the cells that hold it than hair is.
+        asked |= maximum_filter(shell > 0.0, size=9)
+        density += _solid(shell, depth)
+        longest = LONGEST_STEP_WITH_HEAD
     rays = np.concatenate([[KEY, RIM], sky])
     values = np.empty((*density.shape, 3), dtype=np.float32)
-    # On a head light is looked up a cell outside of it, further from the cells that hold it than hair is.
-    near = 1 if surface is None else 4
-    asked = maximum_filter(density > 0.0, size=2 * near + 1)
     start, reach = MARCH_START * extent / cell, AMBIENT_REACH * extent / cell
-    given = (density, cell * blocking, rays, weights, start, reach, asked, values)
+    given = (density, cell * blocking, rays, weights, start, reach, longest, asked, values)
     spread(lambda begin, end: _march(begin, end, *given), len(values))
     return LightGrid(values, origin, cell)
 
@@ -185,7 +188,7 @@ def light_at(values, x, y, z, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _optical_depth(density, x, y, z, dx, dy, dz, start, reach):  # type: ignore[no-untyped-def]
+def _optical_depth(density, x, y, z, dx, dy, dz, start, reach, longest):  # type: ignore[no-untyped-def]
     """Density summed along a ray, in cells, from ``start`` to ``reach`` cells away or the grid's end."""
     nx, ny, nz = density.shape
     total = 0.0
@@ -204,14 +207,14 @@ def _optical_depth(density, x, y, z, dx, dy, dz, start, reach):  # type: ignore[
                 wy = wx * (fy if b else 1.0 - fy)
                 here += wy * ((1.0 - fz) * density[ix + a, iy + b, iz] + fz * density[ix + a, iy + b, iz + 1])
         total += step * here
-        grown = min(step * MARCH_GROWTH, LONGEST_STEP)
+        grown = min(step * MARCH_GROWTH, longest)
         t += 0.5 * (step + grown)
         step = grown
     return total
 
 
 @kernel
-def _march(begin, end, density, blocking, rays, weights, start, reach, asked, values):  # type: ignore[no-untyped-def]
+def _march(begin, end, density, blocking, rays, weights, start, reach, longest, asked, values):  # type: ignore[no-untyped-def]
     """Fill ``values`` (nx, ny, nz, 3) where ``asked``, and with full light elsewhere.
 
     rays: (2 + n, 3), towards the key, the rim and places in the sky.
@@ -228,7 +231,9 @@ def _march(begin, end, density, blocking, rays, weights, start, reach, asked, va
                 open_sky = 0.0
                 for r in range(len(rays)):
                     limit = 1e9 if r < 2 else reach
-                    tau = blocking * _optical_depth(density, i, j, k, rays[r, 0], rays[r, 1], rays[r, 2], start, limit)
+                    tau = blocking * _optical_depth(
+                        density, i, j, k, rays[r, 0], rays[r, 1], rays[r, 2], start, limit, longest
+                    )
                     if r < 2:
                         values[i, j, k, r] = tau
                     else:

@@ -32,11 +32,11 @@ LIGHT_HAIR = 0.12  # reflectance from which hair is light
 ROUGHNESS = 0.3
 SCALE_TILT = 2.0  # degrees
 # Lights as the rasteriser has them, in its exposure; strengths set by eye so that both look alike.
-KEY_LIGHT, RIM_LIGHT, SKY_LIGHT = 7.0, 5.0, 0.5
+KEY_LIGHT, RIM_LIGHT, SKY_LIGHT = 8.0, 5.5, 0.36
 LAMP_PLACE, LAMP_SIZE = 4.0, 1.1  # distance and half side of a lamp, in the scene's radii
 EXPOSURE = 1.0
 PASS = 8  # samples of a pixel traced at once
-BRIGHTEST_PASS = 3.0  # a few paths are so bright that they would stay as white dots: cut off in each pass
+BRIGHTEST_PASS = 2.0  # a few paths are so bright that they would stay as white dots: cut off in each pass
 
 
 def load() -> Any:

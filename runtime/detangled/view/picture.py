@@ -143,7 +143,9 @@ def check_target(path: str | os.PathLike[str]) -> None:
     """Raise WriteError where ``save`` would refuse ``path``, so that nobody draws for nothing."""
     path = Path(path)
     if path.suffix.lower() not in SUFFIXES:
-        raise WriteError(f"{path}: a picture's name must end in {' or '.join(SUFFIXES)}")
+        moving = path.suffix.lower() in (".gif", ".webp", ".apng")
+        hint = "; what moves is drawn with --turntable" if moving else ""
+        raise WriteError(f"{path}: a picture's name must end in {' or '.join(SUFFIXES)}{hint}")
     if not path.parent.is_dir():
         raise WriteError(f"{path}: the folder {path.parent} does not exist; make it first")
 
