@@ -20,6 +20,7 @@ from detangled.view.threads import spread
 
 SAMPLES = 3  # along each side of a pixel
 BAND_ROWS = 16  # pixels; low enough that a band's buffers stay in the cache
+BIN_CHUNKS = 64  # parts that strands are sorted into bands by
 NARROWEST_PX = 0.7  # thinner strands break into dots
 TILE = 16  # samples; a tile knows its farthest sample, so that segments behind all of it are passed over
 TILE_REFRESH = 4096  # segments drawn between updates of what tiles know; late only costs time
@@ -51,11 +52,7 @@ def draw(
     vertices, strands = trace(curves, view, SAMPLES)
     half = np.array([0.5 * width, 0.5 * NARROWEST_PX * SAMPLES])
     bands = -(-camera.height // BAND_ROWS)
-    counts = np.zeros(bands, dtype=np.int64)
-    _bin(vertices, strands, view, half, False, counts, np.empty(0, dtype=np.int32))
-    ends = offsets_of(counts)
-    segments = np.empty(ends[-1], dtype=np.int32)
-    _bin(vertices, strands, view, half, True, ends[:-1].copy(), segments)
+    segments, ends = _binned(curves, vertices, strands, view, half, bands)
 
     linear = background(camera, look)
     tint = tints(curves.ids, look, colours)
@@ -91,6 +88,41 @@ def encoded(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
     return np.asarray(255.0 * np.clip(curve, 0.0, 1.0) + 0.5).astype(np.uint8)
 
 
+def _binned(
+    curves: Curves,
+    vertices: NDArray[np.float32],
+    strands: NDArray[np.int32],
+    view: NDArray[np.float64],
+    half: NDArray[np.float64],
+    bands: int,
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Segments that touch each band, band after band, and where each band's begin and the last one's end.
+
+    Those of near strands come first, so that most of what they hide is passed over when it is met.
+    """
+    order = np.argsort(-np.maximum.reduceat(curves.points[:, 2], curves.offsets[:-1]), kind="stable")
+    starts = np.searchsorted(strands, np.arange(len(order) + 1)).astype(np.int64)
+    chunks = min(len(order), BIN_CHUNKS)
+    edges = [len(order) * k // chunks for k in range(chunks + 1)]
+    counts = np.zeros((chunks, bands), dtype=np.int64)
+    given = (order, starts, vertices, view, half)
+
+    def count(begin: int, end: int) -> None:
+        for k in range(begin, end):
+            _bin(edges[k], edges[k + 1], *given, False, counts[k], np.empty(0, dtype=np.int32))
+
+    spread(count, chunks)
+    places = np.cumsum(counts.T).reshape(bands, chunks).T - counts
+    segments = np.empty(counts.sum(), dtype=np.int32)
+
+    def fill(begin: int, end: int) -> None:
+        for k in range(begin, end):
+            _bin(edges[k], edges[k + 1], *given, True, places[k].copy(), segments)
+
+    spread(fill, chunks)
+    return segments, offsets_of(counts.sum(axis=0))
+
+
 @kernel
 def _project(vertices, i, view):  # type: ignore[no-untyped-def]
     """Place on the screen [samples] of a vertex, and samples per cm there."""
@@ -99,23 +131,25 @@ def _project(vertices, i, view):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _bin(vertices, strands, view, half, fill, rows, segments):  # type: ignore[no-untyped-def]
-    """Count in ``rows`` the segments that touch each band, or with ``fill`` list them from ``rows`` on."""
+def _bin(begin, end, order, starts, vertices, view, half, fill, rows, segments):  # type: ignore[no-untyped-def]
+    """Count in ``rows`` the segments of some strands that touch each band, or with ``fill`` list them from there on."""
     bands = len(rows)
     height = SAMPLES * BAND_ROWS
-    ay, a_margin = 0.0, 0.0
-    for i in range(len(vertices)):
-        _, by, scale = _project(vertices, i, view)
-        b_margin = max(half[0] * scale, half[1])
-        if i > 0 and strands[i - 1] == strands[i]:
-            margin = max(a_margin, b_margin)
-            low, high = (min(ay, by) - margin) / height, (max(ay, by) + margin) / height
-            if high >= 0.0 and low < bands:
-                for band in range(max(0, int(low)), min(bands - 1, int(high)) + 1):
-                    if fill:
-                        segments[rows[band]] = i - 1
-                    rows[band] += 1
-        ay, a_margin = by, b_margin
+    for place in range(begin, end):
+        s = order[place]
+        ay, a_margin = 0.0, 0.0
+        for i in range(starts[s], starts[s + 1]):
+            _, by, scale = _project(vertices, i, view)
+            b_margin = max(half[0] * scale, half[1])
+            if i > starts[s]:
+                margin = max(a_margin, b_margin)
+                low, high = (min(ay, by) - margin) / height, (max(ay, by) + margin) / height
+                if high >= 0.0 and low < bands:
+                    for band in range(max(0, int(low)), min(bands - 1, int(high)) + 1):
+                        if fill:
+                            segments[rows[band]] = i - 1
+                        rows[band] += 1
+            ay, a_margin = by, b_margin
 
 
 @kernel
