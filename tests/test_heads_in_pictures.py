@@ -143,7 +143,7 @@ def test_the_head_is_framed_and_hides_the_hair_behind_it() -> None:
     ("scale", "move", "words"),
     [
         (0.01, 0.0, "is its unit another"),
-        (100.0, 0.0, "is its unit or its up axis another"),
+        (100.0, 0.0, "is its unit .--head-unit. or its up axis another"),
         (1.0, 90.0, "up axis another"),
     ],
 )

@@ -92,12 +92,12 @@ def head_misfit(head: Head, groom: Groom, box: Box) -> str | None:
         return "has no triangle that can be drawn"
     size = float(np.max(np.ptp(vertices, axis=0)))
     if size < HEAD_SMALLEST * box.extent:
-        return f"is {size:.3g} cm large where the hair is {box.extent:.3g} cm: is its unit another?"
+        return f"is {size:.3g} cm large where the hair is {box.extent:.3g} cm: is its unit another (--head-unit)?"
     turned = vertices @ upright(groom.up).T
     outside = np.maximum(np.maximum(box.low - turned, turned - box.high), 0.0)
     gap = float(np.sqrt(np.min(np.sum(outside**2, axis=1))))
     if gap > max(HEAD_FARTHEST * box.extent, HEAD_FARTHEST_CM):
-        return f"is {size:.3g} cm large and lies {gap:.3g} cm from the hair: is its unit or its up axis another?"
+        return f"is {size:.3g} cm large and lies {gap:.3g} cm from the hair: is its unit (--head-unit) or its up axis another?"
     return None
 
 
