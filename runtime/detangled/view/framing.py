@@ -97,7 +97,8 @@ def head_misfit(head: Head, groom: Groom, box: Box) -> str | None:
     outside = np.maximum(np.maximum(box.low - turned, turned - box.high), 0.0)
     gap = float(np.sqrt(np.min(np.sum(outside**2, axis=1))))
     if gap > max(HEAD_FARTHEST * box.extent, HEAD_FARTHEST_CM):
-        return f"is {size:.3g} cm large and lies {gap:.3g} cm from the hair: is its unit (--head-unit) or its up axis another?"
+        lies = f"is {size:.3g} cm large and lies {gap:.3g} cm from the hair"
+        return f"{lies}: is its unit (--head-unit) or its up axis another?"
     return None
 
 

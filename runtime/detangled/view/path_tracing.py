@@ -31,6 +31,8 @@ DARK_DEPTH, LIGHT_DEPTH = 10, 24  # bounces: light hair passes light on through 
 LIGHT_HAIR = 0.12  # reflectance from which hair is light
 ROUGHNESS = 0.3
 SCALE_TILT = 2.0  # degrees
+# Strands are drawn wider and fewer than hairs are: light meets fewer on its way, so each takes more of it.
+STRAND_ABSORPTION = 2.5
 # Lights as the rasteriser has them, in its exposure; strengths set by eye so that both look alike.
 KEY_LIGHT, RIM_LIGHT, SKY_LIGHT = 8.0, 5.5, 0.36
 LAMP_PLACE, LAMP_SIZE = 4.0, 1.1  # distance and half side of a lamp, in the scene's radii
@@ -181,7 +183,7 @@ def _strands(
         chosen = group[owners] == number
         path = folder / f"{number}.txt"
         _write(vertices[chosen].astype(np.float64), owners[chosen], radius, path)
-        absorption = absorption_of(tint[group == number].mean(axis=0))
+        absorption = STRAND_ABSORPTION * absorption_of(tint[group == number].mean(axis=0))
         shapes[f"strands_{number}"] = {
             "type": "bsplinecurve",
             "filename": str(path),
