@@ -23,7 +23,7 @@ lint: $(TESTABLE)
 	$(BIN)/mypy
 
 bench: $(TESTABLE)
-	@failed=; for name in formats head geometry patches fidelity retexture engines network labels controllability guided simulation pipeline density hairs page; do \
+	@failed=; for name in formats head geometry patches fidelity retexture engines network labels controllability guided simulation pipeline density hairs page render; do \
 		[ -f benchmarks/$$name.py ] || continue; \
 		case $$name in fidelity) strands=$(firstword $(wildcard $(GROOMS)/coily_swatch.obj) examples/coily_strands.obj) ;; *) strands= ;; esac; \
 		echo "== benchmarks/$$name.py $$strands"; \

@@ -32,7 +32,6 @@ AXIS = click.Choice(["x", "y", "z"])
 @click.option("--up", type=AXIS, help="Turn the groom until this axis points up. Default: as in IN.")
 @click.option("--in-up", type=AXIS, help="The axis that points up in IN, where the file does not say or is wrong.")
 @quiet_option
-<<<<<<< HEAD
 def command(
     source: Path,
     target: Path,
@@ -43,10 +42,6 @@ def command(
     in_up: str | None,
 ) -> None:
     """Convert a groom to another format, unit, up axis or engine.
-=======
-def command(source: Path, target: Path, preset: str | None, unit: str | None, out_unit: str | None) -> None:
-    """Convert a groom to another format, or for an engine.
->>>>>>> engines/main
 
     The suffix of OUT chooses its format. What that format cannot hold is listed on stderr, and so is what a preset
     changes.

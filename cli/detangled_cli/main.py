@@ -41,16 +41,9 @@ VERBS = {
     "render": Verb("detangled_cli.render", "command", "Draw a groom as a picture."),
     "view": Verb("detangled_cli.view", "command", "Show a groom in a browser, in one page."),
     "guides": Verb("detangled_cli.guides", "command", "Write a groom's style guides: strands without curl."),
-<<<<<<< HEAD
     "hairs": Verb("detangled_cli.hairs", "command", "Make render hairs of guide strands."),
-    "convert": Verb(
-        "detangled_cli.convert", "command", "Convert a groom to another format, unit, up axis or engine."
-    ),
-    "validate": Verb("detangled_cli.validate", "command", "Say what an engine would drop or misread of a groom."),
-=======
-    "convert": Verb("detangled_cli.convert", "command", "Convert a groom to another format, or for an engine."),
+    "convert": Verb("detangled_cli.convert", "command", "Convert a groom: format, unit, up axis, engine."),
     "validate": Verb("detangled_cli.validate", "command", "Say what an engine would lose of a groom file."),
->>>>>>> engines/main
     "label": Verb("detangled_cli.label", "command", "Read the texture of hair: radius, wavelength, twist, type."),
     "info": Verb("detangled_cli.info", "command", "Describe a groom: strands, lengths, unit, attributes."),
     "train": Verb("detangled_cli.train", "command", "Train and export models (needs the extra: detangled[train])."),

@@ -1,32 +1,65 @@
-"""detangled render: a picture of one groom, or of several side by side."""
+"""detangled render: a picture of one groom, of several side by side, or of a whole turn around them."""
 
 from __future__ import annotations
 
+from collections.abc import Callable, Iterable, Iterator
+from contextlib import nullcontext
+from dataclasses import replace
+from itertools import chain
 from pathlib import Path
+from typing import TYPE_CHECKING
 
 import click
 
+from detangled.errors import DetangledError
 from detangled_cli.console import (
+    UNIT,
+    UNIT_NAMES,
     announce_first_run,
     note,
+    progress_bar,
     quiet_option,
     threads_option,
     unit_option,
     warn,
 )
 
+if TYPE_CHECKING:
+    from detangled.groom import Groom
+    from detangled.head import Head
+    from detangled.view.picture import Picture, Style
+
 VIEWS = ("front", "side", "back", "top", "34")
+COLOUR_BY = ("radius", "wavelength", "twist", "guide", "none")
 LARGEST_PANEL_PX = 8192
+MOST_FRAMES = 720
+WRONG_USAGE = 2
+
+
+class ExtraMissing(click.ClickException):
+    """What path tracing stands on is not installed."""
+
+    exit_code = WRONG_USAGE
 
 
 @click.command()
 @click.argument("paths", metavar="IN [IN2 ...] OUT.png", nargs=-1, required=True, type=click.Path(path_type=Path))
+@click.option("--head", metavar="MESH", type=click.Path(path_type=Path), help="A head or body to draw under the hair.")
+@click.option("--head-unit", type=UNIT, metavar="U", help=f"Unit of MESH: {UNIT_NAMES}. Default: as for IN.")
+@click.option("--head-group", metavar="NAME", help="Draw only this group or object of MESH.")
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
     default="34",
     show_default=True,
     help="From where to look; 34 is a three-quarter view.",
+)
+@click.option(
+    "--zoom",
+    type=click.FloatRange(0.1, 100.0),
+    default=1.0,
+    metavar="F",
+    help="Enlarge the middle of the picture this many times.",
 )
 @click.option(
     "--size",
@@ -36,10 +69,69 @@ LARGEST_PANEL_PX = 8192
     metavar="N",
     help="Width and height of each groom's panel in pixels.",
 )
+@click.option(
+    "--colour",
+    "--color",
+    metavar="C",
+    help="Hair colour: black, darkbrown, brown, lightbrown, auburn, red, blond, platinum, grey, white, #rrggbb, or "
+    "amounts of eumelanin/pheomelanin such as 1.3 or 0.3/0.8.",
+)
+@click.option(
+    "--colour-by",
+    "--color-by",
+    type=click.Choice(COLOUR_BY),
+    default="none",
+    help="Colour each strand by what detangled label reads, or by its guide, with a legend.",
+)
+@click.option(
+    "--caption",
+    "captions",
+    multiple=True,
+    metavar="TEXT",
+    help="What to write under a groom; once for each. Default: file names, where there are several.",
+)
+@click.option(
+    "--turntable",
+    "frames",
+    type=click.IntRange(2, MOST_FRAMES),
+    metavar="N",
+    help="A whole turn of N frames: OUT.gif, .webp or .apng, or OUT.png for numbered pictures.",
+)
+@click.option(
+    "--quality",
+    type=click.Choice(["fast", "path"]),
+    default="fast",
+    show_default=True,
+    help="path: path tracing, minutes a picture (needs the extra: detangled[beauty]).",
+)
+@click.option(
+    "--samples",
+    type=click.IntRange(1, 65536),
+    default=64,
+    show_default=True,
+    metavar="N",
+    help="Paths traced for each pixel with --quality path.",
+)
 @unit_option
 @threads_option
 @quiet_option
-def command(paths: tuple[Path, ...], view: str, size: int, unit: str | None, threads: int | None) -> None:
+def command(
+    paths: tuple[Path, ...],
+    head: Path | None,
+    head_unit: str | None,
+    head_group: str | None,
+    view: str,
+    zoom: float,
+    size: int,
+    colour: str | None,
+    colour_by: str,
+    captions: tuple[str, ...],
+    frames: int | None,
+    quality: str,
+    samples: int,
+    unit: str | None,
+    threads: int | None,
+) -> None:
     """Draw a groom as a picture, .png or .jpg.
 
     Several grooms are drawn side by side, with one camera, one light and one width of strand, so that
@@ -49,26 +141,58 @@ def command(paths: tuple[Path, ...], view: str, size: int, unit: str | None, thr
     Example:
       detangled render groom.abc groom.png
       detangled render before.abc after.abc comparison.png --view back --size 768
+      detangled render groom.abc groom.png --head head.obj --colour auburn
+      detangled render groom.abc radius.png --colour-by radius
+      detangled render groom.abc turn.webp --turntable 48 --size 512
     """
     if len(paths) < 2:
         raise click.UsageError("name a groom and the picture to write: detangled render IN OUT.png")
     *sources, target = paths
+    words = list(captions) or _captions(sources)
+    if captions and len(captions) != len(sources):
+        raise click.UsageError(f"{len(sources)} grooms need as many --caption, not {len(captions)}")
+    if colour is not None and colour_by != "none":
+        raise click.UsageError("--colour and --colour-by do not go together: name one")
+    if head is None and (head_unit or head_group):
+        raise click.UsageError("--head-unit and --head-group go with --head")
 
     from detangled.formats import read
     from detangled.kernels import set_threads
-    from detangled.view import picture
+    from detangled.view import animation, picture
 
-    picture.check_target(target)
+    if frames is None:
+        picture.check_target(target)
+    else:
+        animation.check_movie_target(target)
+    if quality == "path":
+        _need_mitsuba()
     grooms = []
     for source in sources:
         grooms.append(read(source, unit=unit))
         for sentence in grooms[-1].notes:
             warn(f"{source}: {sentence}")
-    announce_first_run("rasteriser.")
+    mesh = None if head is None else _head(head, head_unit, head_group)
     set_threads(threads)
-    drawn = picture.render(grooms, (size, size), view, _captions(sources), names=[str(source) for source in sources])
-    picture.save(drawn, target)
-    note(f"{target}: strands drawn {drawn.strand_width:.3g} cm wide")
+    style = picture.Style(zoom=zoom, quality=quality, samples=samples)
+    style = _coloured(style, grooms, colour, colour_by)
+    announce_first_run("rasteriser.")
+    names = [str(source) for source in sources]
+    if frames is None:
+        with progress_bar("samples", samples * len(grooms)) if quality == "path" else nullcontext() as bar:
+            drawn = picture.render(
+                grooms, (size, size), view, words, names=names, head=mesh, head_name=str(head),
+                style=style if bar is None else replace(style, progress=bar.update),
+            )  # fmt: skip
+        picture.save(drawn, target)
+        _tell(drawn, str(target))
+        return
+    turn = picture.turntable(
+        grooms, frames, (size, size), view, words, names=names, head=mesh, head_name=str(head), style=style
+    )
+    first = next(turn)
+    with progress_bar("frames", frames) as bar:
+        written = animation.save_movie(_counted(chain([first], turn), bar.update), target, frames)
+    _tell(first, str(target) if len(written) == 1 else f"{written[0]} to {written[-1].name}")
 
 
 def _captions(sources: list[Path]) -> list[str]:
@@ -79,3 +203,50 @@ def _captions(sources: list[Path]) -> list[str]:
     return [
         source.name if names.count(source.name) == 1 else f"{source.parent.name}/{source.name}" for source in sources
     ]
+
+
+def _need_mitsuba() -> None:
+    from detangled.view import path_tracing
+
+    try:
+        path_tracing.load()
+    except ModuleNotFoundError as error:
+        raise ExtraMissing(str(error)) from error
+
+
+def _head(path: Path, unit: str | None, group: str | None) -> Head:
+    from detangled.formats.meshes import read_head
+
+    head = read_head(path, unit=unit, group=group)
+    for sentence in head.notes:
+        warn(f"{path}: {sentence}")
+    return head
+
+
+def _coloured(style: Style, grooms: list[Groom], colour: str | None, by: str) -> Style:
+    if colour is not None:
+        from detangled.view.colours import hair_colour
+
+        try:
+            return replace(style, look=replace(style.look, hair=hair_colour(colour)))
+        except DetangledError as error:
+            raise click.UsageError(f"--colour: {error}") from error
+    if by == "none":
+        return style
+    from detangled.view.colouring import strand_colours
+
+    with progress_bar("strands read", sum(groom.strand_count for groom in grooms)) as bar:
+        colours, legend = strand_colours(grooms, by, bar.update)
+    return replace(style, colours=colours, legend=legend)
+
+
+def _counted(pictures: Iterable[Picture], done: Callable[[int], object]) -> Iterator[Picture]:
+    for picture in pictures:
+        done(1)
+        yield picture
+
+
+def _tell(drawn: Picture, target: str) -> None:
+    for sentence in drawn.notes:
+        warn(sentence)
+    note(f"{target}: strands drawn {drawn.strand_width:.3g} cm wide")

@@ -103,13 +103,9 @@ def command(
       detangled retexture in.abc out.abc --target coily.texture --length strand --seed 7
       detangled retexture in.abc out.abc --type 4B --head head.obj
     """
-<<<<<<< HEAD
-    from detangled.formats import check_writable, read, write
-    from detangled.grooming.interpenetration import OnPenetration
-=======
     from detangled.formats import check_writable
     from detangled.formats.frames import read_frames
->>>>>>> engines/main
+    from detangled.grooming.interpenetration import OnPenetration
     from detangled.grooming.lengths import Length
     from detangled.kernels import set_threads
     from detangled.retexturing import Options, retexture
@@ -127,15 +123,10 @@ def command(
     set_threads(threads)
     texture = wanted_texture(**wanted, seed=seed)
     with progress_bar("strands", groom.strand_count) as bar:
-<<<<<<< HEAD
         options = Options(Length(length), seed, steps, max_points, head, OnPenetration(on_penetration))
         result = retexture(groom, texture, options, bar.update)
-    for sentence in [*result.lost, *result.warnings, *write(result.groom, target)]:
-=======
-        result = retexture(groom, texture, Options(Length(length), seed, steps, max_points), bar.update)
     styled = with_texture(frames, result.groom, target)
     for sentence in [*result.lost, *result.warnings, *written(styled, target)]:
->>>>>>> engines/main
         warn(f"{target}: {sentence}")
     if len(result.passed_through):
         some = ", ".join(str(index) for index in result.passed_through[:5])

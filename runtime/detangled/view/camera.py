@@ -62,14 +62,26 @@ def view_rotation(view: str, up: str) -> NDArray[np.float64]:
 
     Raises DetangledError for a view or axis that is not known.
     """
-    if view not in VIEWS:
-        raise DetangledError(f"unknown view {view!r}: use one of {', '.join(VIEWS)}")
+    return view_turn(view) @ upright(up)
+
+
+def upright(up: str) -> NDArray[np.float64]:
+    """Rows right, up and front of an upright head, (3, 3), in the axes of a groom whose ``up`` axis points up."""
     if up not in _UPRIGHT:
         raise DetangledError(f"unknown up axis {up!r}: use one of {', '.join(_UPRIGHT)}")
-    azimuth, elevation = np.radians(VIEWS[view])
+    return _UPRIGHT[up].copy()
+
+
+def view_turn(view: str, further: float = 0.0) -> NDArray[np.float64]:
+    """Rows right, up and towards the viewer, (3, 3), in the axes of an upright head.
+
+    further: degrees that the viewer has gone on around the head, to its left side first.
+    """
+    if view not in VIEWS:
+        raise DetangledError(f"unknown view {view!r}: use one of {', '.join(VIEWS)}")
+    azimuth, elevation = np.radians(np.add(VIEWS[view], (further, 0.0)))
     ca, sa, ce, se = np.cos(azimuth), np.sin(azimuth), np.cos(elevation), np.sin(elevation)
-    turn = np.array([[ca, 0.0, -sa], [-se * sa, ce, -se * ca], [ce * sa, se, ce * ca]])
-    return turn @ _UPRIGHT[up]
+    return np.array([[ca, 0.0, -sa], [-se * sa, ce, -se * ca], [ce * sa, se, ce * ca]])
 
 
 def frame(

@@ -33,15 +33,17 @@ class Curves:
     high: NDArray[np.float64]
 
 
-def drawable(groom: Groom, rotation: NDArray[np.float64]) -> Curves:
+def drawable(groom: Groom, rotation: NDArray[np.float64], origin: NDArray[np.float64] | None = None) -> Curves:
     """Turn a groom into camera axes, without points that are not finite or repeat the one before.
 
-    Strands of fewer than two points left are left out.
+    origin: (3,) what becomes the origin of the camera axes, in the groom's own [cm]: near the hair, since what is
+    far from it is left out, and float32 is coarse there. Strands of fewer than two points left are left out.
     """
+    middle = np.zeros(3) if origin is None else np.ascontiguousarray(origin, dtype=np.float64)
     points = np.empty((len(groom.points), 3), dtype=np.float32)
     counts = np.empty(groom.strand_count, dtype=np.int64)
     box = np.array([[np.inf] * 3, [-np.inf] * 3])
-    total = _turn(groom.points, groom.offsets, np.ascontiguousarray(rotation), FARTHEST_CM, points, counts, box)
+    total = _turn(groom.points, groom.offsets, np.ascontiguousarray(rotation), middle, FARTHEST_CM, points, counts, box)
     ids = np.flatnonzero(counts)
     offsets = offsets_of(counts[ids])
     return Curves(points[:total], offsets, ids.astype(np.int64), box[0], box[1])
@@ -78,13 +80,13 @@ def trace(curves: Curves, view: NDArray[np.float64], samples: int) -> tuple[NDAr
 
 
 @kernel
-def _turn(points, offsets, rotation, farthest, turned, counts, box):  # type: ignore[no-untyped-def]
+def _turn(points, offsets, rotation, origin, farthest, turned, counts, box):  # type: ignore[no-untyped-def]
     """Write the points worth drawing, (P, 3), and how many each strand has: none or at least two."""
     row = 0
     for s in range(len(offsets) - 1):
         first = row
         for i in range(offsets[s], offsets[s + 1]):
-            x, y, z = points[i, 0], points[i, 1], points[i, 2]
+            x, y, z = points[i, 0] - origin[0], points[i, 1] - origin[1], points[i, 2] - origin[2]
             if not (abs(x) < farthest and abs(y) < farthest and abs(z) < farthest):  # true for NaN
                 continue
             same = row > first

@@ -1,24 +1,34 @@
-"""How much light reaches a place inside the hair: rays marched through a grid of hair density."""
+"""How much light reaches a place in the hair or on the head: rays marched through a grid of their density."""
 
 from __future__ import annotations
 
 from dataclasses import dataclass
+from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.ndimage import maximum_filter
 
 from detangled.kernels import kernel
 from detangled.view.curves import Curves
 from detangled.view.threads import spread
+
+if TYPE_CHECKING:
+    from detangled.view.surface import Surface
 
 GRID_CELLS = 96**3  # shared out so that cells are cubes
 PADDING = 2  # empty cells around the hair
 # Marched from the strand itself, a ray would start in the strand's own density and shadow it.
 MARCH_START = 0.01  # of the scene's extent: 0.3 cm on a head
 MARCH_GROWTH = 1.12  # each step is longer than the one before: far hair matters less exactly
+LONGEST_STEP = 4.0  # cells
+LONGEST_STEP_WITH_HEAD = 1.4  # or a ray would step over what is thin of it
 AMBIENT_REACH = 0.25  # of the extent: what lies further away does not close off the sky
 # Hair passes on most of the light that meets it; a strand blocks only this part of its drawn width.
 BLOCKING = 0.8
+HEAD_DEPTH = 5.0  # optical depth of a head's surface: next to nothing comes through
+HEAD_INSIDE = 1.2  # cells
+MOST_PARTS = 200  # that a triangle's side is cut into
 
 # Towards the lights, in camera axes: a high key from the left in front, a rim from the right behind.
 KEY = np.array([-0.45, 0.68, 0.58]) / np.linalg.norm([-0.45, 0.68, 0.58])
@@ -49,10 +59,19 @@ class LightGrid:
     cell: float
 
 
-def light_grid(curves: Curves, width: float, extent: float) -> LightGrid:
-    """Light among strands drawn ``width`` [cm] wide in a scene of size ``extent`` [cm]."""
-    low = curves.low
-    span = np.maximum(curves.high - low, 0.02 * extent)
+def light_grid(
+    curves: Curves,
+    width: float,
+    extent: float,
+    region: tuple[NDArray[np.float64], NDArray[np.float64]] | None = None,
+    surface: Surface | None = None,
+) -> LightGrid:
+    """Light among strands drawn ``width`` [cm] wide, and on a head, in a scene of size ``extent`` [cm].
+
+    region: two corners of the box that is worth knowing, (3,) each in camera axes; the strands' own where None.
+    """
+    low, high = (curves.low, curves.high) if region is None else region
+    span = np.maximum(high - low, 0.02 * extent)
     cell = float(np.cbrt(np.prod(span) / GRID_CELLS))
     cell = max(cell, float(span.max()) / 256.0)  # a flat swatch needs no thousand cells along its long side
     shape = np.ceil(span / cell).astype(np.int64) + 1 + 2 * PADDING
@@ -61,17 +80,40 @@ def light_grid(curves: Curves, width: float, extent: float) -> LightGrid:
     _deposit(curves.points, curves.offsets, origin, cell, density)
     blocking = BLOCKING * width / cell**3
     sky, weights = _dome()
+    asked, longest = maximum_filter(density > 0.0, size=3), LONGEST_STEP
+    if surface is not None:
+        depth = HEAD_DEPTH / blocking
+        shell = np.zeros_like(density)
+        _deposit_head(surface.vertices, surface.normals, surface.faces, origin, cell, depth, shell)
+        # On a head light is looked up a cell outside of it, further from the cells that hold it than hair is.
+        asked |= maximum_filter(shell > 0.0, size=9)
+        density += _solid(shell, depth)
+        longest = LONGEST_STEP_WITH_HEAD
     rays = np.concatenate([[KEY, RIM], sky])
     values = np.empty((*density.shape, 3), dtype=np.float32)
     start, reach = MARCH_START * extent / cell, AMBIENT_REACH * extent / cell
-    given = (density, cell * blocking, rays, weights, start, reach, values)
+    given = (density, cell * blocking, rays, weights, start, reach, longest, asked, values)
     spread(lambda begin, end: _march(begin, end, *given), len(values))
     return LightGrid(values, origin, cell)
+
+
+def _solid(shell: NDArray[np.float32], inside: float) -> NDArray[np.float32]:
+    """Fill a shell with density ``inside``, since rays step over what is thin and far.
+
+    A cell is inside where the shell is met from it in five of six directions: heads are open at the neck.
+    """
+    wall = shell > 0.0
+    met = np.zeros(shell.shape, dtype=np.int8)
+    for axis in range(3):
+        met += np.logical_or.accumulate(wall, axis=axis)
+        met += np.flip(np.logical_or.accumulate(np.flip(wall, axis), axis=axis), axis)
+    return np.where(met >= 5, np.maximum(shell, np.float32(inside)), shell)
 
 
 @kernel
 def _deposit(points, offsets, origin, cell, density):  # type: ignore[no-untyped-def]
     """Add each segment's length [cm] to the eight cells around it; serial, so that the sums never differ."""
+    nx, ny, nz = density.shape
     for s in range(len(offsets) - 1):
         for i in range(offsets[s], offsets[s + 1] - 1):
             ax, ay, az = points[i, 0], points[i, 1], points[i, 2]
@@ -84,6 +126,8 @@ def _deposit(points, offsets, origin, cell, density):  # type: ignore[no-untyped
                 x = (ax + t * dx - origin[0]) / cell
                 y = (ay + t * dy - origin[1]) / cell
                 z = (az + t * dz - origin[2]) / cell
+                if not (0.0 <= x < nx - 1 and 0.0 <= y < ny - 1 and 0.0 <= z < nz - 1):
+                    continue
                 ix, iy, iz = int(x), int(y), int(z)
                 fx, fy, fz = x - ix, y - iy, z - iz
                 for a in range(2):
@@ -95,7 +139,56 @@ def _deposit(points, offsets, origin, cell, density):  # type: ignore[no-untyped
 
 
 @kernel
-def _optical_depth(density, x, y, z, dx, dy, dz, start, reach):  # type: ignore[no-untyped-def]
+def _deposit_head(vertices, normals, faces, origin, cell, depth, density):  # type: ignore[no-untyped-def]
+    """Make a head a shell in the grid, of optical depth ``depth`` in what hair's density is counted in.
+
+    It lies a little inside the head's surface, or it would shadow itself and the roots of hair.
+    """
+    nx, ny, nz = density.shape
+    for f in range(len(faces)):
+        a, b, c = faces[f, 0], faces[f, 1], faces[f, 2]
+        ux, uy, uz = (vertices[b, 0] - vertices[a, 0], vertices[b, 1] - vertices[a, 1], vertices[b, 2] - vertices[a, 2])
+        vx, vy, vz = (vertices[c, 0] - vertices[a, 0], vertices[c, 1] - vertices[a, 1], vertices[c, 2] - vertices[a, 2])
+        area = 0.5 * np.sqrt((uy * vz - uz * vy) ** 2 + (uz * vx - ux * vz) ** 2 + (ux * vy - uy * vx) ** 2) / cell**2
+        # So many small triangles along each side that none is larger than a quarter of a cell's side.
+        parts = min(int(2.0 * np.sqrt(area)) + 1, MOST_PARTS)
+        share = depth * area / (parts * parts)
+        for i in range(parts):
+            for j in range(2 * (parts - i) - 1):
+                # The middle of a small triangle: those that stand, and between them those that hang.
+                p = (i + (1.0 if j % 2 == 0 else 2.0) / 3.0) / parts
+                q = (j // 2 + (1.0 if j % 2 == 0 else 2.0) / 3.0) / parts
+                o = 1.0 - p - q
+                x = o * vertices[a, 0] + p * vertices[b, 0] + q * vertices[c, 0]
+                y = o * vertices[a, 1] + p * vertices[b, 1] + q * vertices[c, 1]
+                z = o * vertices[a, 2] + p * vertices[b, 2] + q * vertices[c, 2]
+                x = (x - origin[0]) / cell - HEAD_INSIDE * normals[a, 0]
+                y = (y - origin[1]) / cell - HEAD_INSIDE * normals[a, 1]
+                z = (z - origin[2]) / cell - HEAD_INSIDE * normals[a, 2]
+                if 0.0 <= x < nx - 1 and 0.0 <= y < ny - 1 and 0.0 <= z < nz - 1:
+                    density[int(x + 0.5), int(y + 0.5), int(z + 0.5)] += share
+
+
+@kernel
+def light_at(values, x, y, z, out):  # type: ignore[no-untyped-def]
+    """Trilinear lookup in a LightGrid's values, in cells; places outside take the grid's edge."""
+    nx, ny, nz, _ = values.shape
+    x, y, z = min(max(x, 0.0), nx - 1.001), min(max(y, 0.0), ny - 1.001), min(max(z, 0.0), nz - 1.001)
+    ix, iy, iz = int(x), int(y), int(z)
+    fx, fy, fz = x - ix, y - iy, z - iz
+    for c in range(3):
+        out[c] = 0.0
+    for a in range(2):
+        wx = fx if a else 1.0 - fx
+        for b in range(2):
+            wy = wx * (fy if b else 1.0 - fy)
+            for c in range(3):
+                near, far = values[ix + a, iy + b, iz, c], values[ix + a, iy + b, iz + 1, c]
+                out[c] += wy * ((1.0 - fz) * near + fz * far)
+
+
+@kernel
+def _optical_depth(density, x, y, z, dx, dy, dz, start, reach, longest):  # type: ignore[no-untyped-def]
     """Density summed along a ray, in cells, from ``start`` to ``reach`` cells away or the grid's end."""
     nx, ny, nz = density.shape
     total = 0.0
@@ -114,34 +207,33 @@ def _optical_depth(density, x, y, z, dx, dy, dz, start, reach):  # type: ignore[
                 wy = wx * (fy if b else 1.0 - fy)
                 here += wy * ((1.0 - fz) * density[ix + a, iy + b, iz] + fz * density[ix + a, iy + b, iz + 1])
         total += step * here
-        grown = step * MARCH_GROWTH
+        grown = min(step * MARCH_GROWTH, longest)
         t += 0.5 * (step + grown)
         step = grown
     return total
 
 
 @kernel
-def _march(begin, end, density, blocking, rays, weights, start, reach, values):  # type: ignore[no-untyped-def]
-    """Fill ``values`` (nx, ny, nz, 3). rays: (2 + n, 3), towards the key, the rim and places in the sky."""
-    nx, ny, nz = density.shape
+def _march(begin, end, density, blocking, rays, weights, start, reach, longest, asked, values):  # type: ignore[no-untyped-def]
+    """Fill ``values`` (nx, ny, nz, 3) where ``asked``, and with full light elsewhere.
+
+    rays: (2 + n, 3), towards the key, the rim and places in the sky.
+    """
+    _, ny, nz = density.shape
     for i in range(begin, end):
         for j in range(ny):
             for k in range(nz):
                 values[i, j, k, 0] = 0.0
                 values[i, j, k, 1] = 0.0
                 values[i, j, k, 2] = 1.0
-                if i in (0, nx - 1) or j in (0, ny - 1) or k in (0, nz - 1):
-                    continue
-                near = 0.0
-                for a in range(i - 1, i + 2):
-                    for b in range(j - 1, j + 2):
-                        near += density[a, b, k - 1] + density[a, b, k] + density[a, b, k + 1]
-                if near == 0.0:
+                if not asked[i, j, k]:
                     continue
                 open_sky = 0.0
                 for r in range(len(rays)):
                     limit = 1e9 if r < 2 else reach
-                    tau = blocking * _optical_depth(density, i, j, k, rays[r, 0], rays[r, 1], rays[r, 2], start, limit)
+                    tau = blocking * _optical_depth(
+                        density, i, j, k, rays[r, 0], rays[r, 1], rays[r, 2], start, limit, longest
+                    )
                     if r < 2:
                         values[i, j, k, r] = tau
                     else:

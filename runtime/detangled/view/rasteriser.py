@@ -1,4 +1,4 @@
-"""Strands to pixels: round ribbons with a z-buffer, supersampled, shaded where they are seen.
+"""Strands and a head to pixels: round ribbons and triangles with a z-buffer, supersampled, shaded where seen.
 
 Rows of pixels are drawn in bands. A band owns its pixels and meets its segments in one order, so a picture
 does not depend on the number of threads.
@@ -13,12 +13,14 @@ from detangled.groom import offsets_of
 from detangled.kernels import kernel
 from detangled.view.camera import Camera
 from detangled.view.curves import Curves, lens, trace
-from detangled.view.lighting import KEY, RIM, LightGrid
+from detangled.view.lighting import KEY, RIM, LightGrid, light_at
 from detangled.view.shading import Look, shade, tints
+from detangled.view.surface import Surface, colour_faces, cover_faces, on_screen
 from detangled.view.threads import spread
 
 SAMPLES = 3  # along each side of a pixel
 BAND_ROWS = 16  # pixels; low enough that a band's buffers stay in the cache
+BIN_CHUNKS = 64  # parts that strands are sorted into bands by
 NARROWEST_PX = 0.7  # thinner strands break into dots
 TILE = 16  # samples; a tile knows its farthest sample, so that segments behind all of it are passed over
 TILE_REFRESH = 4096  # segments drawn between updates of what tiles know; late only costs time
@@ -32,20 +34,30 @@ def background(camera: Camera, look: Look) -> NDArray[np.float32]:
     return np.repeat(rows[:, None, :], camera.width, axis=1).astype(np.float32)
 
 
-def draw(curves: Curves, camera: Camera, light: LightGrid, width: float, look: Look) -> NDArray[np.uint8]:
-    """The picture, (height, width, 3) sRGB, of strands ``width`` [cm] wide."""
+def draw(
+    curves: Curves,
+    camera: Camera,
+    light: LightGrid,
+    width: float,
+    look: Look,
+    *,
+    colours: NDArray[np.floating] | None = None,
+    surface: Surface | None = None,
+) -> NDArray[np.uint8]:
+    """The picture, (height, width, 3) sRGB, of strands ``width`` [cm] wide.
+
+    colours: linear RGB of every strand of the groom, (S, 3), in place of the look's. surface: a head under the hair.
+    """
     view = lens(camera, SAMPLES)
     vertices, strands = trace(curves, view, SAMPLES)
     half = np.array([0.5 * width, 0.5 * NARROWEST_PX * SAMPLES])
     bands = -(-camera.height // BAND_ROWS)
-    counts = np.zeros(bands, dtype=np.int64)
-    _bin(vertices, strands, view, half, False, counts, np.empty(0, dtype=np.int32))
-    ends = offsets_of(counts)
-    segments = np.empty(ends[-1], dtype=np.int32)
-    _bin(vertices, strands, view, half, True, ends[:-1].copy(), segments)
+    segments, ends = _binned(curves, vertices, strands, view, half, bands)
 
     linear = background(camera, look)
-    tint = tints(curves.ids, look)
+    tint = tints(curves.ids, look, colours)
+    screen = None if surface is None else on_screen(surface, camera, SAMPLES)
+    skin = np.array(look.skin)
 
     def draw_bands(begin: int, end: int) -> None:
         for band in range(begin, end):
@@ -56,25 +68,59 @@ def draw(curves: Curves, camera: Camera, light: LightGrid, width: float, look: L
             nearest = np.full(shape, -np.inf, dtype=np.float32)
             farthest = np.full((-(-shape[0] // TILE), -(-shape[1] // TILE)), -np.inf, dtype=np.float32)
             mine = segments[ends[band] : ends[band + 1]]
+            here = linear[top : top + rows]
+            lit = (light.values, light.origin, light.cell, view, KEY, RIM, here)
+            if surface is not None:
+                cover_faces(screen, surface.vertices, surface.faces, top * SAMPLES, nearest, seen)
             _cover(vertices, mine, top * SAMPLES, view, half, nearest, farthest, seen, place)
-            _colour(
-                vertices,
-                strands,
-                seen,
-                place,
-                tint,
-                light.values,
-                light.origin,
-                light.cell,
-                view,
-                KEY,
-                RIM,
-                linear[top : top + rows],
-            )
+            if surface is not None:
+                mesh = (screen, surface.vertices, surface.normals, surface.faces)
+                colour_faces(*mesh, seen, top * SAMPLES, SAMPLES, skin, *lit)
+            _colour(vertices, strands, seen, place, tint, *lit)
 
     spread(draw_bands, bands)
-    encoded = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * linear ** (1.0 / 2.4) - 0.055)
-    return (255.0 * np.clip(encoded, 0.0, 1.0) + 0.5).astype(np.uint8)
+    return encoded(linear)
+
+
+def encoded(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
+    """Linear RGB as sRGB bytes (IEC 61966-2-1)."""
+    curve = np.where(linear <= 0.0031308, 12.92 * linear, 1.055 * np.maximum(linear, 0.0031308) ** (1.0 / 2.4) - 0.055)
+    return np.asarray(255.0 * np.clip(curve, 0.0, 1.0) + 0.5).astype(np.uint8)
+
+
+def _binned(
+    curves: Curves,
+    vertices: NDArray[np.float32],
+    strands: NDArray[np.int32],
+    view: NDArray[np.float64],
+    half: NDArray[np.float64],
+    bands: int,
+) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
+    """Segments that touch each band, band after band, and where each band's begin and the last one's end.
+
+    Those of near strands come first, so that most of what they hide is passed over when it is met.
+    """
+    order = np.argsort(-np.maximum.reduceat(curves.points[:, 2], curves.offsets[:-1]), kind="stable")
+    starts = np.searchsorted(strands, np.arange(len(order) + 1)).astype(np.int64)
+    chunks = min(len(order), BIN_CHUNKS)
+    edges = [len(order) * k // chunks for k in range(chunks + 1)]
+    counts = np.zeros((chunks, bands), dtype=np.int64)
+    given = (order, starts, vertices, view, half)
+
+    def count(begin: int, end: int) -> None:
+        for k in range(begin, end):
+            _bin(edges[k], edges[k + 1], *given, False, counts[k], np.empty(0, dtype=np.int32))
+
+    spread(count, chunks)
+    places = np.cumsum(counts.T).reshape(bands, chunks).T - counts
+    segments = np.empty(counts.sum(), dtype=np.int32)
+
+    def fill(begin: int, end: int) -> None:
+        for k in range(begin, end):
+            _bin(edges[k], edges[k + 1], *given, True, places[k].copy(), segments)
+
+    spread(fill, chunks)
+    return segments, offsets_of(counts.sum(axis=0))
 
 
 @kernel
@@ -85,23 +131,25 @@ def _project(vertices, i, view):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _bin(vertices, strands, view, half, fill, rows, segments):  # type: ignore[no-untyped-def]
-    """Count in ``rows`` the segments that touch each band, or with ``fill`` list them from ``rows`` on."""
+def _bin(begin, end, order, starts, vertices, view, half, fill, rows, segments):  # type: ignore[no-untyped-def]
+    """Count in ``rows`` the segments of some strands that touch each band, or with ``fill`` list them from there on."""
     bands = len(rows)
     height = SAMPLES * BAND_ROWS
-    ay, a_margin = 0.0, 0.0
-    for i in range(len(vertices)):
-        _, by, scale = _project(vertices, i, view)
-        b_margin = max(half[0] * scale, half[1])
-        if i > 0 and strands[i - 1] == strands[i]:
-            margin = max(a_margin, b_margin)
-            low, high = (min(ay, by) - margin) / height, (max(ay, by) + margin) / height
-            if high >= 0.0 and low < bands:
-                for band in range(max(0, int(low)), min(bands - 1, int(high)) + 1):
-                    if fill:
-                        segments[rows[band]] = i - 1
-                    rows[band] += 1
-        ay, a_margin = by, b_margin
+    for place in range(begin, end):
+        s = order[place]
+        ay, a_margin = 0.0, 0.0
+        for i in range(starts[s], starts[s + 1]):
+            _, by, scale = _project(vertices, i, view)
+            b_margin = max(half[0] * scale, half[1])
+            if i > starts[s]:
+                margin = max(a_margin, b_margin)
+                low, high = (min(ay, by) - margin) / height, (max(ay, by) + margin) / height
+                if high >= 0.0 and low < bands:
+                    for band in range(max(0, int(low)), min(bands - 1, int(high)) + 1):
+                        if fill:
+                            segments[rows[band]] = i - 1
+                        rows[band] += 1
+            ay, a_margin = by, b_margin
 
 
 @kernel
@@ -185,24 +233,6 @@ def _tangent(vertices, strands, i, out):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _light_at(values, x, y, z, out):  # type: ignore[no-untyped-def]
-    """Trilinear lookup, in cells; places outside take the grid's edge."""
-    nx, ny, nz, _ = values.shape
-    x, y, z = min(max(x, 0.0), nx - 1.001), min(max(y, 0.0), ny - 1.001), min(max(z, 0.0), nz - 1.001)
-    ix, iy, iz = int(x), int(y), int(z)
-    fx, fy, fz = x - ix, y - iy, z - iz
-    for c in range(3):
-        out[c] = 0.0
-    for a in range(2):
-        wx = fx if a else 1.0 - fx
-        for b in range(2):
-            wy = wx * (fy if b else 1.0 - fy)
-            for c in range(3):
-                near, far = values[ix + a, iy + b, iz, c], values[ix + a, iy + b, iz + 1, c]
-                out[c] += wy * ((1.0 - fz) * near + fz * far)
-
-
-@kernel
 def _colour(  # type: ignore[no-untyped-def]
     vertices,  # (V, 3)
     strands,  # (V,)
@@ -251,7 +281,7 @@ def _colour(  # type: ignore[no-untyped-def]
                 norm = 1.0 / max(np.sqrt(square), 1e-9)
                 tx, ty, tz = tangent[0] * norm, tangent[1] * norm, tangent[2] * norm
                 px, py, pz = other[0], other[1], other[2]
-                _light_at(values, (px - origin[0]) / cell, (py - origin[1]) / cell, (pz - origin[2]) / cell, reach)
+                light_at(values, (px - origin[0]) / cell, (py - origin[1]) / cell, (pz - origin[2]) / cell, reach)
                 shade(px, py, pz, tx, ty, tz, u, tint[strands[i]], reach, view, key, rim, colour)
                 hits += alike
                 for k in range(3):

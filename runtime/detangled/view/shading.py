@@ -30,6 +30,9 @@ SHIFT_JITTER = 0.06  # from strand to strand: one unbroken band of highlight loo
 # Blue is lost first on the way through hair, so that its depths turn warm instead of black.
 LOSS = (0.80, 1.0, 1.18)
 OCCLUSION_CONTRAST = 1.5
+SKIN = (0.36, 0.275, 0.235)  # linear reflectance of a head: a plain mannequin, lighter than most hair on it
+SHEEN_STRENGTH, SHEEN_EXPONENT = 0.10, 24.0
+INSIDE = 0.45  # of its light that the inside of an open mesh keeps
 WRAP = 0.35  # light reaches this far past a strand's terminator, as it passes through
 
 
@@ -38,17 +41,21 @@ class Look:
     """Colours of a picture, linear RGB.
 
     hair: reflectance. variation: standard deviation of the logarithm of a strand's brightness.
-    sky_top, sky_bottom: the background's ends.
+    sky_top, sky_bottom: the background's ends. skin: reflectance of a head.
     """
 
     hair: tuple[float, float, float] = DARK_BROWN
     variation: float = 0.22
     sky_top: tuple[float, float, float] = (0.74, 0.745, 0.755)
     sky_bottom: tuple[float, float, float] = (0.57, 0.57, 0.575)
+    skin: tuple[float, float, float] = SKIN
 
 
-def tints(ids: NDArray[np.int64], look: Look) -> NDArray[np.float32]:
-    """Colour of each strand and a number that shifts its highlights, (n, 4), from nothing but its index."""
+def tints(ids: NDArray[np.int64], look: Look, colours: NDArray[np.floating] | None = None) -> NDArray[np.float32]:
+    """Colour of each strand and a number that shifts its highlights, (n, 4), from nothing but its index.
+
+    colours: linear RGB of every strand, (S, 3), which are kept to the number, in place of the look's.
+    """
     noise = np.stack([_hash(ids, salt) for salt in range(3)], axis=1) - 0.5
     tint = np.empty((len(ids), 4), dtype=np.float32)
     brightness = np.exp(look.variation * np.sqrt(12.0) * noise[:, 0])
@@ -57,6 +64,8 @@ def tints(ids: NDArray[np.int64], look: Look) -> NDArray[np.float32]:
     tint[:, 1] = look.hair[1] * brightness
     tint[:, 2] = look.hair[2] * brightness * (1.0 - warmth)
     tint[:, 3] = 2.0 * noise[:, 2]
+    if colours is not None:
+        tint[:, :3] = colours[ids]
     return tint
 
 
@@ -124,3 +133,32 @@ def shade(px, py, pz, tx, ty, tz, u, tint, reach, view, key, rim, out):  # type:
         light += lit * root * (WHITE_STRENGTH * white + COLOURED_STRENGTH * colour * coloured)
         light += root * behind * glint
         out[c] = 1.0 - np.exp(-EXPOSURE * light)
+
+
+@kernel
+def shade_surface(p, n, skin, reach, view, key, rim, out):  # type: ignore[no-untyped-def]
+    """Light that a place p (3,) of normal n (3,) on a head sends to the eye, linear RGB in [0, 1), into ``out``.
+
+    The rest as for ``shade``. A face seen from behind is the inside of an open mesh: darker, and lit from there.
+    """
+    vx, vy, vz = 0.0, 0.0, 1.0
+    if view[1] > 0.0:
+        vx, vy, vz = view[2] - p[0], view[3] - p[1], view[4] + 1.0 / view[1] - p[2]
+        norm = 1.0 / np.sqrt(vx * vx + vy * vy + vz * vz)
+        vx, vy, vz = vx * norm, vy * norm, vz * norm
+    nx, ny, nz = n[0], n[1], n[2]
+    kept = 1.0
+    if nx * vx + ny * vy + nz * vz < 0.0:
+        nx, ny, nz, kept = -nx, -ny, -nz, INSIDE
+    facing = max(0.0, (nx * key[0] + ny * key[1] + nz * key[2] + 0.5 * WRAP) / (1.0 + 0.5 * WRAP))
+    backlit = max(0.0, nx * rim[0] + ny * rim[1] + nz * rim[2])
+    hx, hy, hz = key[0] + vx, key[1] + vy, key[2] + vz
+    norm = 1.0 / max(np.sqrt(hx * hx + hy * hy + hz * hz), 1e-9)
+    sheen = SHEEN_STRENGTH * max(0.0, (nx * hx + ny * hy + nz * hz) * norm) ** SHEEN_EXPONENT
+    sky = SKY_STRENGTH * (0.74 + 0.26 * ny)
+    for c in range(3):
+        lit = np.exp(-LOSS[c] * reach[0])
+        behind = np.exp(-LOSS[c] * reach[1])
+        open_sky = np.exp(OCCLUSION_CONTRAST * LOSS[c] * np.log(max(reach[2], 1e-3)))
+        light = skin[c] * (KEY_STRENGTH * lit * facing + sky * open_sky + RIM_STRENGTH * behind * backlit)
+        out[c] = 1.0 - np.exp(-EXPOSURE * kept * (light + lit * facing * sheen))
