@@ -30,6 +30,18 @@ if TYPE_CHECKING:
     from detangled.head import Head
 
 
+def _density(context: click.Context, option: click.Parameter, value: str | None) -> str | float | None:
+    if value in (None, "auto", "keep"):
+        return value
+    try:
+        factor = float(str(value))
+    except ValueError:
+        factor = float("nan")
+    if not 0.0 < factor < float("inf"):
+        raise click.BadParameter(f"{value!r} is not auto, keep or a number above zero, such as 2.5")
+    return factor
+
+
 @click.command()
 @input_argument
 @output_argument
@@ -70,6 +82,13 @@ if TYPE_CHECKING:
     show_default=True,
     help="Hair in the head: rotate turns and lifts it out, delete also deletes what stays in, keep leaves it.",
 )
+@click.option(
+    "--density",
+    metavar="auto|keep|FACTOR",
+    callback=_density,
+    help="How many style guides: auto as the texture's radius needs, keep as there are, or so many times as many. "
+    "Default: auto with --head, else keep.",
+)
 @unit_option
 @threads_option
 @quiet_option
@@ -84,6 +103,7 @@ def command(
     head_unit: str | None,
     head_group: str | None,
     on_penetration: str,
+    density: str | float | None,
     unit: str | None,
     threads: int | None,
     thickness: str | None,
@@ -123,7 +143,9 @@ def command(
     set_threads(threads)
     texture = wanted_texture(**wanted, seed=seed)
     with progress_bar("strands", groom.strand_count) as bar:
-        options = Options(Length(length), seed, steps, max_points, head, OnPenetration(on_penetration))
+        options = Options(
+            Length(length), seed, steps, max_points, head, OnPenetration(on_penetration), _factor(density, head)
+        )
         result = retexture(groom, texture, options, bar.update)
     styled = with_texture(frames, result.groom, target)
     for sentence in [*result.lost, *result.warnings, *written(styled, target)]:
@@ -134,6 +156,8 @@ def command(
             f"{source}: {len(result.passed_through)} strands cannot be used and pass through "
             f"unchanged: {some}{', ...' if len(result.passed_through) > 5 else ''}"
         )
+    for sentence in result.notes:
+        note(f"{target}: {sentence}")
     if result.penetration is not None:
         note(f"{target}: {result.penetration}")
         for sentence in result.penetration.warnings():
@@ -141,6 +165,13 @@ def command(
     note(
         f"{target}: {result.strands} strands, {len(result.groom.points)} points, in {time.perf_counter() - began:.1f} s"
     )
+
+
+def _factor(density: str | float | None, head: Head | None) -> float | None:
+    """Of the density of style guides; None for as the texture needs."""
+    if isinstance(density, float):
+        return density
+    return None if density == "auto" or (density is None and head is not None) else 1.0
 
 
 def _head_of(groom: Groom, source: Path, unit: str | None, group: str | None) -> Head:

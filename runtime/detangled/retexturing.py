@@ -18,6 +18,7 @@ from detangled.errors import ReadError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
+from detangled.grooming.guide_density import guides_for
 from detangled.grooming.guides import resampled_attributes, style_guides
 from detangled.grooming.interpenetration import OnPenetration
 from detangled.grooming.keeping_out import Keeper, Penetration
@@ -40,7 +41,8 @@ class Options:
 
     max_points: most points a strand may have, None for as many as the texture needs. head: what the groom grows on
     (``grooming.head_fit.fitted_to`` says whether they fit), None where nothing is known of it. on_penetration: what to
-    do with hair that is in it.
+    do with hair that is in it. density: factor of the number of style guides, None for as many as the texture's radius
+    needs.
     """
 
     length: Length = Length.GUIDE
@@ -49,6 +51,7 @@ class Options:
     max_points: int | None = None
     head: Head | None = None
     on_penetration: OnPenetration = OnPenetration.ROTATE
+    density: float | None = 1.0
 
 
 @dataclass(frozen=True)
@@ -56,7 +59,8 @@ class Result:
     """The new groom and what there is to say about it.
 
     strands: how many were retextured. passed_through: indices (B,) of those that could not be, and are unchanged.
-    lost: attributes that could not be carried over, one sentence each. warnings: other sentences.
+    lost: attributes that could not be carried over, one sentence each. warnings: other sentences. notes: what was done
+    beside, one sentence each.
     penetration: hair in the head before and after; None where no head was given.
     """
 
@@ -66,6 +70,7 @@ class Result:
     lost: list[str] = field(default_factory=list)
     warnings: list[str] = field(default_factory=list)
     penetration: Penetration | None = None
+    notes: list[str] = field(default_factory=list)
 
 
 def retexture(
@@ -76,10 +81,10 @@ def retexture(
 ) -> Result:
     """Make one new strand of the texture on each style guide of a groom.
 
-    Strand count, order, roots and attributes stay, but for strands that are deleted since they enter the head;
-    strands without two distinct finite points pass through as they are. The same seed gives the same strands,
-    whatever the number of threads. progress: told how many strands were finished. Raises ReadError where no strand
-    can be used.
+    Strand count, order, roots and attributes stay, but where the density is to change and for strands that are deleted
+    since they enter the head; new strands come after the others. Strands without two distinct finite points pass
+    through as they are. The same seed gives the same strands, whatever the number of threads. progress: told how many
+    strands were finished. Raises ReadError where no strand can be used, DetangledError where the density is none.
     """
     options = options or Options()
     guides = style_guides(groom)
@@ -91,6 +96,13 @@ def retexture(
     keeper = None if options.head is None else Keeper(options.head, groom, texture, options.on_penetration)
     if keeper is not None:
         guides = keeper.turned(guides)
+    notes: list[str] = []
+    lost_here: list[str] = []
+    warned: list[str] = []
+    if options.density != 1.0:
+        dense, said = guides_for(groom, guides, texture.radius, options.density, options.head, keeper, options.seed)
+        groom, guides = dense.groom, dense.guides
+        notes, lost_here, warned = [said], list(dense.lost), list(dense.notes)
     goals = guides.lengths
     if options.length is Length.STRAND:
         goals = arc_lengths(guides.groom.points, guides.groom.offsets)
@@ -150,9 +162,10 @@ def retexture(
         groom=made_groom,
         strands=len(guides.kept),
         passed_through=passed_through,
-        lost=lost,
-        warnings=_warnings(per_turn, reached, options),
+        lost=[*lost_here, *lost],
+        warnings=[*warned, *_warnings(per_turn, reached, options)],
         penetration=penetration,
+        notes=notes,
     )
 
 

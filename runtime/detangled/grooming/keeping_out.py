@@ -81,14 +81,22 @@ class Keeper:
         """What new strands need; None where they are to stay as they come."""
         return None if self._wish is OnPenetration.KEEP else self._room
 
-    def turned(self, guides: StyleGuides) -> StyleGuides:
-        """Guides, and the strands about them, turned out of the head where that takes no more than a small turn."""
+    def turned(self, guides: StyleGuides, chosen: NDArray[np.int64] | None = None) -> StyleGuides:
+        """Guides, and the strands about them, turned out of the head where that takes no more than a small turn.
+
+        chosen: those that may be turned; None for all.
+        """
         if self._wish is OnPenetration.KEEP:
             return guides
-        offsets = guides.groom.offsets
-        found = turned_out(guides.points, offsets, self.distance, self._room.clearance)
-        self._turned = int(np.count_nonzero(found.angles))
-        return replace(guides, points=found.points)
+        strands = replace(guides.groom, points=guides.points, attributes={})
+        some = strands if chosen is None else strands.select(chosen)
+        found = turned_out(some.points, some.offsets, self.distance, self._room.clearance)
+        self._turned += int(np.count_nonzero(found.angles))
+        if chosen is None:
+            return replace(guides, points=found.points)
+        points = guides.points.copy()
+        points[np.repeat(np.isin(np.arange(strands.strand_count), chosen), strands.point_counts)] = found.points
+        return replace(guides, points=points)
 
     def finished(self, groom: Groom) -> tuple[Groom, Penetration]:
         """The new groom, without what still enters where that is to go, and what there is to say of it."""
