@@ -139,6 +139,16 @@ def test_the_head_is_framed_and_hides_the_hair_behind_it() -> None:
     assert without.camera.centre[1] > with_head.camera.centre[1] + 2.0
 
 
+def test_the_nearer_face_is_seen_whichever_comes_first() -> None:
+    groom, head = hairy(30), ball()
+    front_first = np.argsort(-head.vertices[head.faces].mean(axis=1)[:, 2])
+    one, other = (
+        render([groom], (64, 64), head=Head(head.vertices, head.faces[order])).pixels.astype(int)
+        for order in (front_first, front_first[::-1])
+    )
+    assert np.abs(one - other).max() <= 2
+
+
 @pytest.mark.parametrize(
     ("scale", "move", "words"),
     [
