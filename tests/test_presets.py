@@ -15,7 +15,7 @@ from numpy.typing import NDArray
 from detangled import formats
 from detangled.errors import DetangledError
 from detangled.groom import Attribute, Groom, Scope
-from detangled.presets import axes, preset, unreal
+from detangled.presets import preset, unreal
 from detangled.presets.closest_guides import closest_guides
 from detangled.presets.root_uv import spherical
 from test_fewer_points import helix
@@ -297,14 +297,6 @@ def test_objects_in_different_units_are_said() -> None:
 
 
 # ---- axes and units
-
-
-@pytest.mark.parametrize("old", "xyz")
-@pytest.mark.parametrize("new", "xyz")
-def test_turns_are_rotations_that_take_one_axis_to_the_other(old: str, new: str) -> None:
-    matrix = axes.turn(old, new)
-    assert np.linalg.det(matrix) == pytest.approx(1.0)
-    assert (np.eye(3)["xyz".index(old)] @ matrix).tolist() == np.eye(3)["xyz".index(new)].tolist()
 
 
 def test_unity_and_blender_get_metres_and_y_up(tmp_path: Path) -> None:

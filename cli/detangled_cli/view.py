@@ -124,10 +124,9 @@ def _shown(groom: Groom, name: str, no_labels: bool) -> Shown:
 
 def _mesh(groom: Groom, path: Path, unit: str | None, group: str | None) -> Head:
     """The head that a groom grows on, in the groom's frame. Raises ReadError where they do not fit."""
+    from detangled.errors import ReadError
     from detangled.formats.meshes import read_head
     from detangled.grooming.head_fit import fitted_to
-
-    from detangled.errors import ReadError
 
     announce_first_run("placing.resample")
     try:

@@ -22,6 +22,7 @@ from detangled.formats.abc_write import DEFAULT_UP, GROOM_PROPERTIES, write
 from detangled.formats.curve_bases import SmoothCurves
 from detangled.formats.frames import ONLY_FIRST
 from detangled.formats.merge import Part, merged
+from detangled.formats.transforms import to_world
 from detangled.groom import Attribute, Groom, Scope
 
 _BASES = {
@@ -204,35 +205,6 @@ def _scope(value: Value, strands: int, points: int) -> Scope | None:
     if value.scope in fitting:
         return value.scope
     return fitting[0] if fitting else None
-
-
-def to_world(
-    points: NDArray[np.float64], found: dict[str, Attribute], matrix: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], dict[str, Attribute]]:
-    """Apply a transform to the points, and to the schema's widths, normals and velocities."""
-    if np.array_equal(matrix, np.eye(4)):
-        return points, found
-    turn = matrix[:3, :3]
-    scale = abs(np.linalg.det(turn)) ** (1 / 3)
-    found = dict(found)
-    with np.errstate(all="ignore"):
-        points = points @ turn + matrix[3, :3]
-        for name, a in found.items():
-            values = a.values.astype(np.float64) if a.values.dtype.kind == "f" else None
-            if values is None:
-                continue
-            if name == "width":
-                values = values * scale
-            elif name == "velocities" and values.shape[1:] == (3,):
-                values = values @ turn
-            elif name == "N" and values.shape[1:] == (3,) and scale > 0:
-                turned = values @ np.linalg.inv(turn).T
-                length = np.linalg.norm(turned, axis=1, keepdims=True)
-                values = turned * np.where(length > 0, np.linalg.norm(values, axis=1, keepdims=True) / length, 1)
-            else:
-                continue
-            found[name] = Attribute(values.astype(a.values.dtype), a.scope)
-    return points, found
 
 
 def evaluated(

@@ -11,13 +11,14 @@ from dataclasses import dataclass, replace
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.axes import turned, turned_vectors
 from detangled.errors import DetangledError
 from detangled.formats import objects
 from detangled.formats.frames import Frames
 from detangled.groom import Groom
 from detangled.grooming.fewer_points import FewerPoints, fewer_points, points_at
 from detangled.grooming.guides import attributes_at, usable_strands
-from detangled.presets import axes, unreal
+from detangled.presets import unreal
 from detangled.presets.sizes import mixed_units
 from detangled.units import cm_per_unit, unit_name
 
@@ -77,7 +78,7 @@ class Prepared:
     """A groom made ready for an engine, and how, so that its later frames can be made ready alike.
 
     sentences: what was changed, and what an artist should know. kept: (S,) strands of the old groom that are left.
-    fewer: which of their points. turn: (3, 3), what points (rows) are multiplied with.
+    fewer: which of their points. old_up: the axis that pointed up.
     """
 
     groom: Groom
@@ -85,7 +86,7 @@ class Prepared:
     old_offsets: NDArray[np.int64]
     kept: NDArray[np.int64]
     fewer: FewerPoints | None
-    turn: NDArray[np.float64]
+    old_up: str
 
     def points(self, old: NDArray[np.float64]) -> NDArray[np.float64]:
         """Points (Q, 3) [cm] of the groom made ready, for old points (P, 3) of any frame."""
@@ -95,7 +96,7 @@ class Prepared:
         points = old[rows] if len(rows) < len(old) else old
         if self.fewer is not None:
             points = points_at(points, np.concatenate([[0], ends]), self.fewer)
-        return points @ self.turn
+        return turned_vectors(points, self.old_up, self.groom.up)
 
 
 def preset(groom: Groom, name: str, root_uv: NDArray[np.float64] | None = None, suffix: str = ".abc") -> Prepared:
@@ -122,11 +123,10 @@ def preset(groom: Groom, name: str, root_uv: NDArray[np.float64] | None = None, 
         root_uv = None if root_uv is None else root_uv[kept]
     groom, fewer, more = _capped(groom, engine)
     said += more
-    turn, up = np.eye(3), engine.up
+    old_up, up = groom.up, engine.up
     if up is not None and suffix == ".abc" and groom.up != up:
         said.append(f"turned so that {up} is up instead of {groom.up}")
-        turn = axes.turn(groom.up, up)
-        groom = axes.turned(groom, turn, up)
+        groom = turned(groom, up)
     if groom.unit_cm != cm_per_unit(engine.unit):
         said.append(f"written in {engine.unit} instead of {unit_name(groom.unit_cm)}")
         groom = replace(groom, unit_cm=cm_per_unit(engine.unit), unit_source="given")
@@ -145,7 +145,7 @@ def preset(groom: Groom, name: str, root_uv: NDArray[np.float64] | None = None, 
         said += more
     if engine.settings:
         said.append(engine.settings)
-    return Prepared(groom, tuple(said), old_offsets, kept, fewer, turn)
+    return Prepared(groom, tuple(said), old_offsets, kept, fewer, old_up)
 
 
 def prepared_frames(frames: Frames, name: str, suffix: str = ".abc") -> tuple[Frames, tuple[str, ...]]:
