@@ -2,7 +2,6 @@
 
 from __future__ import annotations
 
-import time
 from dataclasses import replace
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -22,10 +21,14 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
-from detangled_cli.presets import with_texture, written
+from detangled_cli.presets import preset_option, with_texture, written
+from detangled_cli.retexture_report import Stages, report, write_preview, write_report
 from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
 
 if TYPE_CHECKING:
+    import numpy as np
+    from numpy.typing import NDArray
+
     from detangled.groom import Groom
     from detangled.head import Head
 
@@ -89,6 +92,15 @@ def _density(context: click.Context, option: click.Parameter, value: str | None)
     help="How many style guides: auto as the texture's radius needs, keep as there are, or so many times as many. "
     "Default: auto with --head, else keep.",
 )
+@preset_option()
+@click.option("--preview", metavar="PNG", type=click.Path(path_type=Path), help="Draw the groom before and after.")
+@click.option(
+    "--report",
+    "report_target",
+    metavar="JSON",
+    type=click.Path(path_type=Path),
+    help="Write guides, lengths, labels before and after, penetrations, warnings, times, seed and models.",
+)
 @unit_option
 @threads_option
 @quiet_option
@@ -104,6 +116,9 @@ def command(
     head_group: str | None,
     on_penetration: str,
     density: str | float | None,
+    preset: str | None,
+    preview: Path | None,
+    report_target: Path | None,
     unit: str | None,
     threads: int | None,
     thickness: str | None,
@@ -123,48 +138,71 @@ def command(
       detangled retexture in.abc out.abc --target coily.texture --length strand --seed 7
       detangled retexture in.abc out.abc --type 4B --head head.obj
     """
-    from detangled.formats import check_writable
+    from detangled.formats import check_folder, check_writable
     from detangled.formats.frames import read_frames
     from detangled.grooming.interpenetration import OnPenetration
     from detangled.grooming.lengths import Length
     from detangled.kernels import set_threads
+    from detangled.presets import prepared_frames
     from detangled.retexturing import Options, retexture
+    from detangled.view.picture import check_target
 
-    began = time.perf_counter()
+    stages = Stages()
     check_writable(target)
+    for path, check in ((preview, check_target), (report_target, check_folder)):
+        if path is not None:
+            check(path)
     fibre = fibre_attributes(thickness, porosity)
-    frames = read_frames(source, unit=unit)
-    groom = frames.groom
-    for sentence in groom.notes:
-        warn(f"{source}: {sentence}")
-    head = None if head_source is None else _head_of(groom, head_source, head_unit, head_group)
+    with stages.stage("read"):
+        frames = read_frames(source, unit=unit)
+        groom = frames.groom
+        for sentence in groom.notes:
+            warn(f"{source}: {sentence}")
+        head = None if head_source is None else _head_of(groom, head_source, head_unit, head_group)
     groom = replace(groom, attributes={**groom.attributes, **fibre})
     announce_first_run("placing.resample")
     set_threads(threads)
-    texture = wanted_texture(**wanted, seed=seed)
-    with progress_bar("strands", groom.strand_count) as bar:
-        options = Options(
-            Length(length), seed, steps, max_points, head, OnPenetration(on_penetration), _factor(density, head)
-        )
+    with stages.stage("texture"):
+        texture = wanted_texture(**wanted, seed=seed)
+    options = Options(
+        Length(length), seed, steps, max_points, head, OnPenetration(on_penetration), _factor(density, head)
+    )
+    with progress_bar("strands", groom.strand_count) as bar, stages.stage("strands"):
         result = retexture(groom, texture, options, bar.update)
     styled = with_texture(frames, result.groom, target)
-    for sentence in [*result.lost, *result.warnings, *written(styled, target)]:
-        warn(f"{target}: {sentence}")
+    if preset is not None:
+        styled, changed = prepared_frames(styled, preset, target.suffix.lower(), _root_uv(styled.groom, head))
+        for sentence in changed:
+            note(f"{target}: {sentence}")
+    with stages.stage("write"):
+        warnings = [*result.lost, *result.warnings, *written(styled, target)]
     if len(result.passed_through):
         some = ", ".join(str(index) for index in result.passed_through[:5])
-        warn(
-            f"{source}: {len(result.passed_through)} strands cannot be used and pass through "
-            f"unchanged: {some}{', ...' if len(result.passed_through) > 5 else ''}"
+        warnings.append(
+            f"{len(result.passed_through)} strands cannot be used and pass through unchanged: {some}"
+            f"{', ...' if len(result.passed_through) > 5 else ''}"
         )
-    for sentence in result.notes:
-        note(f"{target}: {sentence}")
     if result.penetration is not None:
-        note(f"{target}: {result.penetration}")
-        for sentence in result.penetration.warnings():
-            warn(f"{target}: {sentence}")
-    note(
-        f"{target}: {result.strands} strands, {len(result.groom.points)} points, in {time.perf_counter() - began:.1f} s"
-    )
+        warnings += result.penetration.warnings()
+    for sentence in warnings:
+        warn(f"{target}: {sentence}")
+    for sentence in [*result.notes, *([] if result.penetration is None else [str(result.penetration)])]:
+        note(f"{target}: {sentence}")
+    if preview is not None:
+        with stages.stage("preview"):
+            write_preview(groom, result.groom, (source.name, target.name), head, preview)
+    if report_target is not None:
+        write_report(report(source, target, groom, texture, options, result, warnings, stages), report_target)
+    note(f"{target}: {result.strands} strands, {len(result.groom.points)} points, in {stages.total:.1f} s")
+
+
+def _root_uv(groom: Groom, head: Head | None) -> NDArray[np.float64] | None:
+    """Texture coordinates (S, 2) of roots on their head; None where they have their own, or the head has none."""
+    if head is None or head.uv is None or "groom_root_uv" in groom.attributes or not groom.point_counts.all():
+        return None
+    from detangled.grooming.scalp_mesh import places_on
+
+    return places_on(groom.points[groom.offsets[:-1]], head).uv(head)
 
 
 def _factor(density: str | float | None, head: Head | None) -> float | None:

@@ -15,6 +15,7 @@ from detangled.formats import abc_check
 from detangled.formats.abc import Scene, collected, counts_and_points, evaluated, matrix_of
 from detangled.formats.abc_values import BINDING_ERRORS
 from detangled.formats.abc_write import write_frames
+from detangled.formats.transforms import to_world
 
 __all__ = ["open_frames", "write_frames"]
 

@@ -148,9 +148,11 @@ def preset(groom: Groom, name: str, root_uv: NDArray[np.float64] | None = None, 
     return Prepared(groom, tuple(said), old_offsets, kept, fewer, old_up)
 
 
-def prepared_frames(frames: Frames, name: str, suffix: str = ".abc") -> tuple[Frames, tuple[str, ...]]:
+def prepared_frames(
+    frames: Frames, name: str, suffix: str = ".abc", root_uv: NDArray[np.float64] | None = None
+) -> tuple[Frames, tuple[str, ...]]:
     """Make a groom that moves ready for an engine, all frames alike, and say what was changed: see ``preset``."""
-    ready = preset(frames.groom, name, suffix=suffix)
+    ready = preset(frames.groom, name, root_uv, suffix)
     return frames.mapped(ready.groom, lambda _, points: ready.points(points)), ready.sentences
 
 
