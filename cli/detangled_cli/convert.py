@@ -41,7 +41,7 @@ def command(
     up: str | None,
     in_up: str | None,
 ) -> None:
-    """Convert a groom to another format, unit, up axis or engine.
+    """Convert a groom: format, unit, up axis, engine.
 
     The suffix of OUT chooses its format. What that format cannot hold is listed on stderr, and so is what a preset
     changes.
