@@ -166,6 +166,8 @@ def test_what_the_hair_is_stands_beside_it(opened: Chromium) -> None:
 def test_it_fits_a_phone(opened: Chromium) -> None:
     opened.resize((390, 780), mobile=True)
     opened.wait_for("document.querySelector('#hair').clientWidth === 390")
+    # The canvas follows in a frame of its own: until then the page is as ready as it was.
+    opened.evaluate("new Promise((done) => requestAnimationFrame(() => requestAnimationFrame(() => done(true))))")
     opened.wait_for(FINISHED)
     assert opened.evaluate("document.documentElement.scrollWidth") == 390
     assert opened.evaluate("document.querySelector('#panel').scrollHeight") > 300

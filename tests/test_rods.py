@@ -155,6 +155,7 @@ def test_rods_take_one_stiffness_alone() -> None:
     assert simulate(np.eye(3), [0, 3], Fibres.usual(1).isotropic(), seconds=0.001).points.shape == (3, 3)
 
 
+@pytest.mark.slow
 def test_a_rod_of_pyelastica_hangs_alike() -> None:
     """A level rod, explicit and with shear, by the library of Gazzola et al. 2018; heavy, so that it soon is still."""
     elastica = pytest.importorskip("elastica")
