@@ -19,13 +19,16 @@ from numpy.typing import NDArray
 from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.geometry.signal import signals
 from detangled.groom import Groom, offsets_of
-from detangled.grooming.placing import cut
+from detangled.grooming.placing import cut, resample
 from detangled.labeling import CELLS, Reading, label
+from detangled.texture import arc_of_a_turn
 
 BY_LABELS, BY_HELIX = "labels", "helix"
 MOST_RESIZED = 1.2  # one strand, beside the others of its texture; so much more hair is drawn, to cut from
 ENDS = 0.08  # of a strand at either end, where axes are known least well
 MOST_CELLS = 4096
+# Of strands that are read, about as they will be written: reading what is drawn, finer still, takes minutes.
+POINTS_PER_TURN, FEWEST_POINTS = 32.0, 64
 STEEPEST = 0.9999  # fall over arc
 
 
@@ -53,7 +56,9 @@ class Settling:
         the labelers are missing or damaged.
         """
         kept, bounds = cut(points, offsets, arc_positions(points, offsets), lengths)
-        found = sizes_read(Groom(kept, bounds), self.by)
+        turns = arc_lengths(kept, bounds) / float(arc_of_a_turn(self.radius, self.wavelength))
+        enough = offsets_of(np.clip(np.ceil(POINTS_PER_TURN * turns).astype(np.int64), FEWEST_POINTS, np.diff(bounds)))
+        found = sizes_read(Groom(resample(kept, bounds, enough), enough), self.by)
         wanted = np.array([self.radius, self.wavelength])
         sizes = np.clip(wanted / np.maximum(found, 1e-3), 1.0 / MOST_RESIZED, MOST_RESIZED)
         return np.where(np.isfinite(sizes).all(axis=1, keepdims=True), sizes, 1.0)
