@@ -256,8 +256,8 @@ def test_a_head_of_another_unit_is_said_by_command(monkeypatch: pytest.MonkeyPat
     (tmp_path / "o.png").unlink()
     result = _command(monkeypatch, *given, "mm")
     assert result.exit_code == ReadError.exit_code
-    assert "head.obj is 1 cm large" in result.output
-    assert "is its unit another" in result.output
+    assert "head.obj: the head is 10 times too small" in result.output
+    assert "--head-unit cm" in result.output
     assert not (tmp_path / "o.png").exists()
 
 

@@ -19,6 +19,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.heads import head_of, head_options
 
 if TYPE_CHECKING:
     from detangled.texture import Profile
@@ -30,7 +31,7 @@ SHARE = click.FloatRange(0.0, 1.0)
 @input_argument
 @output_argument
 @click.option("--count", type=click.IntRange(min=1), default=100_000, show_default=True, metavar="N", help="Hairs.")
-@click.option("--head", type=click.Path(path_type=Path), metavar="MESH", help="The head that hairs grow on.")
+@head_options("hairs grow on it.")
 @click.option(
     "--wisp-radius",
     metavar="R",
@@ -76,7 +77,9 @@ def command(
     source: Path,
     target: Path,
     count: int,
-    head: Path | None,
+    head_source: Path | None,
+    head_unit: str | None,
+    head_group: str | None,
     wisp_radius: str | None,
     clump: float,
     clump_profile: str,
@@ -122,13 +125,7 @@ def command(
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
-    mesh = None
-    if head is not None:
-        from detangled.formats.meshes import read_head
-
-        mesh = read_head(head)
-        for sentence in mesh.notes:
-            warn(f"{head}: {sentence}")
+    mesh = head_of(groom, head_source, head_unit, head_group)
     announce_first_run("hair_laying.laid")
     set_threads(threads)
     with progress_bar("hairs", count) as bar:

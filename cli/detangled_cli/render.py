@@ -13,8 +13,6 @@ import click
 
 from detangled.errors import DetangledError
 from detangled_cli.console import (
-    UNIT,
-    UNIT_NAMES,
     announce_first_run,
     note,
     progress_bar,
@@ -23,10 +21,10 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.heads import check_head_options, head_of, head_options
 
 if TYPE_CHECKING:
     from detangled.groom import Groom
-    from detangled.head import Head
     from detangled.view.picture import Picture, Style
 
 VIEWS = ("front", "side", "back", "top", "34")
@@ -44,9 +42,7 @@ class ExtraMissing(click.ClickException):
 
 @click.command()
 @click.argument("paths", metavar="IN [IN2 ...] OUT.png", nargs=-1, required=True, type=click.Path(path_type=Path))
-@click.option("--head", metavar="MESH", type=click.Path(path_type=Path), help="A head or body to draw under the hair.")
-@click.option("--head-unit", type=UNIT, metavar="U", help=f"Unit of MESH: {UNIT_NAMES}. Default: as for IN.")
-@click.option("--head-group", metavar="NAME", help="Draw only this group or object of MESH.")
+@head_options("it is drawn under the hair.")
 @click.option(
     "--view",
     type=click.Choice(VIEWS),
@@ -117,7 +113,7 @@ class ExtraMissing(click.ClickException):
 @quiet_option
 def command(
     paths: tuple[Path, ...],
-    head: Path | None,
+    head_source: Path | None,
     head_unit: str | None,
     head_group: str | None,
     view: str,
@@ -153,8 +149,7 @@ def command(
         raise click.UsageError(f"{len(sources)} grooms need as many --caption, not {len(captions)}")
     if colour is not None and colour_by != "none":
         raise click.UsageError("--colour and --colour-by do not go together: name one")
-    if head is None and (head_unit or head_group):
-        raise click.UsageError("--head-unit and --head-group go with --head")
+    check_head_options(head_source, head_unit, head_group)
 
     from detangled.formats import read
     from detangled.kernels import set_threads
@@ -171,7 +166,7 @@ def command(
         grooms.append(read(source, unit=unit))
         for sentence in grooms[-1].notes:
             warn(f"{source}: {sentence}")
-    mesh = None if head is None else _head(head, head_unit, head_group)
+    mesh = head_of(grooms[0], head_source, head_unit, head_group)
     set_threads(threads)
     style = picture.Style(zoom=zoom, quality=quality, samples=samples)
     style = _coloured(style, grooms, colour, colour_by)
@@ -180,14 +175,14 @@ def command(
     if frames is None:
         with progress_bar("samples", samples * len(grooms)) if quality == "path" else nullcontext() as bar:
             drawn = picture.render(
-                grooms, (size, size), view, words, names=names, head=mesh, head_name=str(head),
+                grooms, (size, size), view, words, names=names, head=mesh, head_name=str(head_source),
                 style=style if bar is None else replace(style, progress=bar.update),
             )  # fmt: skip
         picture.save(drawn, target)
         _tell(drawn, str(target))
         return
     turn = picture.turntable(
-        grooms, frames, (size, size), view, words, names=names, head=mesh, head_name=str(head), style=style
+        grooms, frames, (size, size), view, words, names=names, head=mesh, head_name=str(head_source), style=style
     )
     first = next(turn)
     with progress_bar("frames", frames) as bar:
@@ -212,15 +207,6 @@ def _need_mitsuba() -> None:
         path_tracing.load()
     except ModuleNotFoundError as error:
         raise ExtraMissing(str(error)) from error
-
-
-def _head(path: Path, unit: str | None, group: str | None) -> Head:
-    from detangled.formats.meshes import read_head
-
-    head = read_head(path, unit=unit, group=group)
-    for sentence in head.notes:
-        warn(f"{path}: {sentence}")
-    return head
 
 
 def _coloured(style: Style, grooms: list[Groom], colour: str | None, by: str) -> Style:

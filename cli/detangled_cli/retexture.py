@@ -9,8 +9,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from detangled_cli.console import (
-    UNIT,
-    UNIT_NAMES,
     announce_first_run,
     input_argument,
     note,
@@ -21,6 +19,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.heads import head_of, head_options
 from detangled_cli.presets import preset_option, with_texture, written
 from detangled_cli.retexture_report import Stages, report, write_preview, write_report
 from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
@@ -64,20 +63,7 @@ def _density(context: click.Context, option: click.Parameter, value: str | None)
     metavar="N",
     help="Most points a strand may have. Default: as many as the texture needs, 16 a turn.",
 )
-@click.option(
-    "--head",
-    "head_source",
-    metavar="MESH",
-    type=click.Path(path_type=Path),
-    help="What the groom grows on (.obj, .ply, .stl, .glb, .abc): hair is kept out of it.",
-)
-@click.option("--head-unit", type=UNIT, metavar="U", help=f"Unit of the head: {UNIT_NAMES}.")
-@click.option(
-    "--head-group",
-    metavar="G",
-    help="Groups, objects or materials of the mesh that are skin, with commas between them. Default: body, or what is "
-    "named as face, head or scalp, else all.",
-)
+@head_options("hair is kept out of it.")
 @click.option(
     "--on-penetration",
     type=click.Choice(["rotate", "delete", "keep"]),
@@ -158,7 +144,7 @@ def command(
         groom = frames.groom
         for sentence in groom.notes:
             warn(f"{source}: {sentence}")
-        head = None if head_source is None else _head_of(groom, head_source, head_unit, head_group)
+        head = head_of(groom, head_source, head_unit, head_group)
     groom = replace(groom, attributes={**groom.attributes, **fibre})
     announce_first_run("placing.resample")
     set_threads(threads)
@@ -210,20 +196,3 @@ def _factor(density: str | float | None, head: Head | None) -> float | None:
     if isinstance(density, float):
         return density
     return None if density == "auto" or (density is None and head is not None) else 1.0
-
-
-def _head_of(groom: Groom, source: Path, unit: str | None, group: str | None) -> Head:
-    """The head that a groom grows on, in the groom's frame. Raises ReadError where they do not fit."""
-    from detangled.errors import ReadError
-    from detangled.formats.meshes import read_head
-    from detangled.grooming.head_fit import fitted_to
-
-    announce_first_run("placing.resample")
-    try:
-        head = fitted_to(read_head(source, unit=unit, group=group), groom)
-    except ReadError as error:
-        told = str(error)
-        raise ReadError(told if told.startswith(str(source)) else f"{source}: {told}") from error
-    for sentence in head.notes:
-        warn(f"{source}: {sentence}")
-    return head

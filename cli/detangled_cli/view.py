@@ -8,8 +8,6 @@ from typing import TYPE_CHECKING, Any
 import click
 
 from detangled_cli.console import (
-    UNIT,
-    UNIT_NAMES,
     announce_first_run,
     input_argument,
     note,
@@ -19,10 +17,10 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.heads import check_head_options, head_of, head_options
 
 if TYPE_CHECKING:
     from detangled.groom import Groom
-    from detangled.head import Head
     from detangled.view.page import Shown
 
 
@@ -35,11 +33,7 @@ if TYPE_CHECKING:
     type=click.Path(path_type=Path),
     help="A second groom, seen alike: a divider wipes between IN and it.",
 )
-@click.option("--head", metavar="MESH", type=click.Path(path_type=Path), help="A head or body to show under the hair.")
-@click.option("--head-unit", type=UNIT, metavar="U", help=f"Unit of MESH: {UNIT_NAMES}.")
-@click.option(
-    "--head-group", metavar="G", help="Groups, objects or materials of MESH to show, with commas between them."
-)
+@head_options("it is shown under the hair.")
 @click.option(
     "--no-labels",
     is_flag=True,
@@ -53,7 +47,7 @@ def command(
     source: Path,
     target: Path | None,
     after: Path | None,
-    head: Path | None,
+    head_source: Path | None,
     head_unit: str | None,
     head_group: str | None,
     no_labels: bool,
@@ -73,8 +67,7 @@ def command(
       detangled view before.abc --after coily.abc comparison.html --open
       detangled view dense.abc --head head.obj --no-labels
     """
-    if head is None and (head_unit or head_group):
-        raise click.UsageError("--head-unit and --head-group go with --head")
+    check_head_options(head_source, head_unit, head_group)
     sources = [source] if after is None else [source, after]
     target = target or Path(f"{sources[-1].stem}.html")
 
@@ -84,7 +77,7 @@ def command(
     from detangled.view import page
 
     page.check_target(target)
-    for path in [*sources, *([] if head is None else [head])]:
+    for path in [*sources, *([] if head_source is None else [head_source])]:
         if target.exists() and path.exists() and target.samefile(path):
             raise WriteError(f"{target}: is an input, which would be lost: choose another file")
     set_threads(threads)
@@ -93,7 +86,7 @@ def command(
         grooms.append(read(path, unit=unit))
         for sentence in grooms[-1].notes:
             warn(f"{path}: {sentence}")
-    mesh = None if head is None else _mesh(grooms[0], head, head_unit, head_group)
+    mesh = head_of(grooms[0], head_source, head_unit, head_group)
     shown = [_shown(groom, name, no_labels) for groom, name in zip(grooms, _names(sources), strict=True)]
     made = page.page(shown, mesh, threads=threads)
     for sentence in made.notes:
@@ -120,23 +113,6 @@ def _shown(groom: Groom, name: str, no_labels: bool) -> Shown:
         warn(f"{name}: none of its strands can be labelled: {why_unread(facts)}")
         return Shown(groom, name)
     return Shown(groom, name, labels, facts)
-
-
-def _mesh(groom: Groom, path: Path, unit: str | None, group: str | None) -> Head:
-    """The head that a groom grows on, in the groom's frame. Raises ReadError where they do not fit."""
-    from detangled.errors import ReadError
-    from detangled.formats.meshes import read_head
-    from detangled.grooming.head_fit import fitted_to
-
-    announce_first_run("placing.resample")
-    try:
-        head = fitted_to(read_head(path, unit=unit, group=group), groom)
-    except ReadError as error:
-        told = str(error)
-        raise ReadError(told if told.startswith(str(path)) else f"{path}: {told}") from error
-    for sentence in head.notes:
-        warn(f"{path}: {sentence}")
-    return head
 
 
 def _names(sources: list[Path]) -> list[str]:

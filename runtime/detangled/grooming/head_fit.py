@@ -18,9 +18,8 @@ from detangled.units import CM_PER_UNIT, unit_name
 ROOTS = 200  # of a groom are looked at, evenly over its strands
 FEW_ROOTS = 8  # every so many of them, for each way in which a head could be mistaken
 TOUCHING = 1.0  # [cm] from the surface, in the median: hair cards and caps lie that far off
+SAME = 1e-3  # of a factor between units
 BESIDE = 3.0  # [cm] beyond which a groom is on another head
-# Mixed-up units differ by these factors.
-_FACTORS = sorted({a / b for a in CM_PER_UNIT.values() for b in CM_PER_UNIT.values() if a != b})
 # What takes an axis up to another: y to z, and z to y.
 _TURNS = {
     ("y", "z"): np.array([[1.0, 0.0, 0.0], [0.0, 0.0, -1.0], [0.0, 1.0, 0.0]]),
@@ -47,11 +46,14 @@ def fitted_to(head: Head, groom: Groom) -> Head:
         turned = replace(head, vertices=head.vertices @ turn.T)
         if _distance(turned, few) <= TOUCHING:
             return replace(turned, notes=(*head.notes, f"turned from {old} up to {new} up, as the groom is"))
-    for turn in (np.eye(3), *_TURNS.values()):
-        for factor in _FACTORS:
-            scaled = replace(head, vertices=factor * head.vertices @ turn.T)
-            if _distance(scaled, few) <= TOUCHING * min(1.0, factor):
-                raise ReadError(_other_scale(head, groom, factor))
+    scales = [
+        (_distance(replace(head, vertices=factor * head.vertices @ turn.T), few) / min(1.0, factor), factor)
+        for turn in (np.eye(3), *_TURNS.values())
+        for factor in _factors(head, groom)
+    ]
+    nearest, factor = min(scales)
+    if nearest <= TOUCHING:
+        raise ReadError(_other_scale(head, groom, factor))
     size = " x ".join(f"{side:.3g}" for side in np.ptp(head.vertices[head.faces].reshape(-1, 3), axis=0))
     if off > BESIDE:
         raise ReadError(
@@ -66,11 +68,22 @@ def _distance(head: Head, roots: NDArray[np.float64]) -> float:
     return float(np.median(np.abs(exact_distances(winding_tree(head), roots))))
 
 
+def _factors(head: Head, groom: Groom) -> list[float]:
+    """By how much a head would grow were it, or the groom, in another unit that has a name."""
+    units = CM_PER_UNIT.values()
+    found = {unit / head.unit_cm for unit in units} | {groom.unit_cm / unit for unit in units}
+    return sorted(factor for factor in found if abs(factor - 1.0) > SAME)
+
+
 def _other_scale(head: Head, groom: Groom, factor: float) -> str:
     size = f"{1.0 / factor:.3g} times too large" if factor < 1.0 else f"{factor:.3g} times too small"
-    return (
-        f"the head is {size} for the groom: it seems to be in {unit_name(head.unit_cm * factor)}, not in "
-        f"{unit_name(head.unit_cm)}, or the groom in {unit_name(groom.unit_cm / factor)}, not in "
-        f"{unit_name(groom.unit_cm)}; say so with --head-unit {unit_name(head.unit_cm * factor)}, or with "
-        f"--unit {unit_name(groom.unit_cm / factor)}"
-    )
+    ways = [
+        (f"{what} in {unit_name(unit_cm)}, not in {unit_name(was)}", f"--{option} {unit_name(unit_cm)}")
+        for what, option, was, unit_cm in (
+            ("the head", "head-unit", head.unit_cm, head.unit_cm * factor),
+            ("the groom", "unit", groom.unit_cm, groom.unit_cm / factor),
+        )
+        if any(abs(unit_cm / known - 1.0) < SAME for known in CM_PER_UNIT.values())
+    ]
+    seems, say = (" or ".join(part) for part in zip(*ways, strict=True))
+    return f"the head is {size} for the groom: {seems}? Say so with {say}"
