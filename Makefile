@@ -6,7 +6,7 @@ TESTABLE := .venv/.testable
 # Real grooms are not part of the project: benchmarks that need them say so where they are missing.
 GROOMS ?= ../shared/grooms
 
-.PHONY: demo test lint bench
+.PHONY: demo test lint docs bench
 
 demo: $(RUNNABLE)
 	@mkdir -p out
@@ -21,6 +21,10 @@ lint: $(TESTABLE)
 	$(BIN)/ruff format --check .
 	$(BIN)/ruff check .
 	$(BIN)/mypy
+
+# The site is read as files; its search needs a server: python -m http.server --directory site
+docs: $(TESTABLE)
+	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 bench: $(TESTABLE)
 	@failed=; for name in formats head geometry patches fidelity retexture engines network labels controllability guided simulation pipeline density hairs page render; do \
