@@ -5,6 +5,7 @@ from __future__ import annotations
 import subprocess
 import sys
 from html.parser import HTMLParser
+from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
@@ -49,16 +50,20 @@ def test_blocks_keep_their_pixels_and_their_place() -> None:
     red, blue = Image.new("RGB", (10, 20), "red"), Image.new("RGB", (30, 8), "blue")
     row, column = beside([red, blue], 5), stacked([red, blue], 5)
     assert (row.size, column.size) == ((45, 20), (30, 33))
-    assert row.getpixel((9, 19)) == (255, 0, 0) and row.getpixel((12, 0)) == PAPER
-    assert row.getpixel((15, 0)) == (0, 0, 255) and row.getpixel((15, 8)) == PAPER
-    assert column.getpixel((10, 0)) == (255, 0, 0) and column.getpixel((9, 0)) == PAPER
+    assert row.getpixel((9, 19)) == (255, 0, 0)
+    assert row.getpixel((12, 0)) == PAPER
+    assert row.getpixel((15, 0)) == (0, 0, 255)
+    assert row.getpixel((15, 8)) == PAPER
+    assert column.getpixel((10, 0)) == (255, 0, 0)
+    assert column.getpixel((9, 0)) == PAPER
     assert column.getpixel((0, 25)) == (0, 0, 255)
 
 
 def test_words_wrap_at_their_width_and_lose_none() -> None:
     text = "a strand that hangs"
     block = words(text, 20, 90)
-    assert block.width == 90 and block.height > words(text, 20).height
+    assert block.width == 90
+    assert block.height > words(text, 20).height
     assert not inked(block)[:, [0, -1]].any()
     assert inked(block).sum() == pytest.approx(inked(words(text, 20)).sum(), rel=0.1)
 
@@ -66,18 +71,19 @@ def test_words_wrap_at_their_width_and_lose_none() -> None:
 def test_a_scale_bar_is_as_long_as_it_says() -> None:
     bar = scale_bar(2.0, 50.0, 20)
     longest = inked(bar)[:, :100].sum(axis=1).max()
-    assert longest == 100 and not inked(bar)[:, 100:108].any()
+    assert longest == 100
+    assert not inked(bar)[:, 100:108].any()
 
 
 # --- strands ---
 
 
 def test_strands_stand_apart_with_their_roots_at_one_height() -> None:
-    strands = [helix(0.3) + [5.0, 1.0, 2.0], helix(0.8) - [0.0, 0.0, 3.0], helix(0.1)]
+    strands = [helix(0.3) + np.array([5.0, 1.0, 2.0]), helix(0.8) - [0.0, 0.0, 3.0], helix(0.1)]
     groom = Groom.from_strands(strands, up="z")
     stood = standing_beside(groom.points, groom.offsets, 1.0)
     spans = [(s[:, 0].min(), s[:, 0].max()) for s in map(stood.strand, range(3))]
-    assert all(left[1] < right[0] for left, right in zip(spans[:-1], spans[1:], strict=True))
+    assert all(left[1] < right[0] for left, right in pairwise(spans))
     assert [stood.strand(k)[0, 2] for k in range(3)] == pytest.approx([0.0, 0.0, 0.0], abs=1e-12)
     assert stood.polyline_lengths() == pytest.approx(groom.polyline_lengths())
     assert spans[0][0] == pytest.approx(-spans[2][1])
@@ -108,7 +114,8 @@ def test_a_line_goes_through_its_points() -> None:
     line = np.array([[1.0, 0.0, -1.0], [3.0, 0.0, -3.0]])
     drawn = with_line(white, line, box, 20.0, (0, 0, 0), 3.0)
     at = camera_of(box, 20.0).project(np.array([[2.0, -2.0, 0.0]]))[0]
-    assert inked(drawn)[int(at[1]), int(at[0])] and not inked(drawn)[10, 60]
+    assert inked(drawn)[int(at[1]), int(at[0])]
+    assert not inked(drawn)[10, 60]
     dashed = with_line(white, line, box, 20.0, (0, 0, 0), 3.0, 5.0)
     assert 0.3 < inked(dashed).sum() / inked(drawn).sum() < 0.8
 
@@ -127,9 +134,12 @@ def test_a_plot_puts_values_where_its_axes_say() -> None:
 @pytest.mark.parametrize(("low", "high"), [(0.0, 26.0), (-10.7, 10.7), (0.0, 0.03), (-5.0, 3.1e4)])
 def test_ticks_are_round_and_inside(low: float, high: float) -> None:
     ticks = even_ticks(low, high)
-    assert 2 <= len(ticks) <= 9 and low <= ticks[0] and ticks[-1] <= high
+    assert 2 <= len(ticks) <= 9
+    assert low <= ticks[0]
+    assert ticks[-1] <= high
     step = ticks[1] - ticks[0]
-    assert np.allclose(np.diff(ticks), step) and f"{step:.0e}"[0] in "125"
+    assert np.allclose(np.diff(ticks), step)
+    assert f"{step:.0e}"[0] in "125"
 
 
 # --- what figures measure ---
@@ -137,7 +147,7 @@ def test_ticks_are_round_and_inside(low: float, high: float) -> None:
 
 def test_unevenness_is_none_for_a_coil_about_its_axis() -> None:
     assert unevenness(helix()) == pytest.approx(0.0, abs=1e-9)
-    assert unevenness(helix() + [0.3, 0.0, 0.0]) > 0.2
+    assert unevenness(helix() + np.array([0.3, 0.0, 0.0])) > 0.2
 
 
 def test_a_faster_strand_is_longer_by_as_much_and_bends_as_before() -> None:
@@ -154,14 +164,16 @@ def test_made_styles_stay_off_the_head_and_differ() -> None:
     assert [style.name for style in made] == ["long", "bob", "swept", "short"]
     for style in made:
         groom = style.groom
-        assert 40 < groom.strand_count < 90 and np.isfinite(groom.points).all()
+        assert 40 < groom.strand_count < 90
+        assert np.isfinite(groom.points).all()
         level = np.linalg.norm(groom.points / styles.HEAD, axis=1)
         upper = groom.points[:, 1] > -0.4 * styles.HEAD[1]
         assert level[upper].min() > 0.99
         roots = np.linalg.norm(groom.points[groom.offsets[:-1]] / styles.HEAD, axis=1)
         assert roots == pytest.approx(np.ones(len(roots)))
     lengths = [style.groom.polyline_lengths().mean() for style in made]
-    assert lengths[0] > 1.5 * lengths[1] and lengths[2] > 2.5 * lengths[3]
+    assert lengths[0] > 1.5 * lengths[1]
+    assert lengths[2] > 2.5 * lengths[3]
     again = styles.made_styles(60, seed=3)
     assert all((a.groom.points == b.groom.points).all() for a, b in zip(made, again, strict=True))
 
@@ -209,7 +221,7 @@ def test_a_page_shows_the_figures_of_its_folder_with_their_captions(tmp_path: Pa
 
 
 def test_a_folder_gives_its_grooms_once_each_and_passes_over_what_is_none(tmp_path: Path) -> None:
-    big = Groom.from_strands([helix() + [k, 0.0, 0.0] for k in range(120)])
+    big = Groom.from_strands([helix() + np.array([k, 0.0, 0.0]) for k in range(120)])
     for name in ("b.npz", "a.obj", "b.obj"):
         write(big, tmp_path / name)
     (tmp_path / "c.abc").write_bytes(b"nothing")
@@ -229,8 +241,10 @@ def test_the_verb_makes_a_figure_and_its_page(tmp_path: Path) -> None:
     assert result.exit_code == 0, result.output
     assert sorted(path.name for path in folder.iterdir()) == ["guides.png", "index.html"]
     with Image.open(folder / "guides.png") as image:
-        assert image.width == 400 and inked(image.convert("RGB")).sum() > 500
-    assert "guides: Beside its mean" in result.stderr and "1 figures, 1 of them made" in result.stderr
+        assert image.width == 400
+        assert inked(image.convert("RGB")).sum() > 500
+    assert "guides: Beside its mean" in result.stderr
+    assert "1 figures, 1 of them made" in result.stderr
     before = (folder / "guides.png").read_bytes()
     assert verb(folder, "--only", "guides", "--width", 400, "--strands", 8, "--quiet").stderr == ""
     assert (folder / "guides.png").read_bytes() == before
@@ -238,15 +252,19 @@ def test_the_verb_makes_a_figure_and_its_page(tmp_path: Path) -> None:
 
 def test_wrong_arguments_are_told(tmp_path: Path) -> None:
     result = verb(tmp_path, "--only", "guide")
-    assert result.exit_code == 2 and "did you mean guides?" in result.stderr
+    assert result.exit_code == 2
+    assert "did you mean guides?" in result.stderr
     (tmp_path / "file").write_text("")
     result = verb(tmp_path / "file", "--only", "guides")
-    assert result.exit_code == 5 and "cannot be made" in result.stderr
+    assert result.exit_code == 5
+    assert "cannot be made" in result.stderr
     result = verb(tmp_path / "g", "--only", "grid", "--grooms", tmp_path / "missing.abc")
-    assert result.exit_code == 3 and "missing.abc: no such file" in result.stderr
+    assert result.exit_code == 3
+    assert "missing.abc: no such file" in result.stderr
     (tmp_path / "empty").mkdir()
     result = verb(tmp_path / "g", "--only", "grid", "--grooms", tmp_path / "empty")
-    assert result.exit_code == 3 and "no groom of" in result.stderr
+    assert result.exit_code == 3
+    assert "no groom of" in result.stderr
 
 
 def test_no_figure_needs_torch() -> None:

@@ -144,7 +144,8 @@ def command(
             for sentence in drawn.said:
                 note(f"{name}: {sentence}")
     shown = write_index(folder, list(FIGURES), __version__)
-    note(f"{folder / 'index.html'}: {len(shown)} figures, {len(figures)} of them made in {time.perf_counter() - began:.0f} s")
+    seconds = time.perf_counter() - began
+    note(f"{folder / 'index.html'}: {len(shown)} figures, {len(figures)} of them made in {seconds:.0f} s")
 
 
 def _figure(name: str) -> Figure:

@@ -105,7 +105,7 @@ def draw_twists(setting: Setting) -> Drawn:
     blocks = []
     for (twist, text), groom in zip(TWISTS.items(), grooms, strict=True):
         panel = strand_panel([(groom, PLAIN)], box, scale, px(3))
-        heading = words(f"{twist:g}", px(34), column, bold=True)
+        heading = words(f"{twist:g}", px(34), column)
         text_block = words(text, px(21), column, FAINT)
         blocks.append(stacked([panel, rule(column, px(1)), heading, text_block], px(10)))
         setting.progress(1)
@@ -142,7 +142,9 @@ def draw_hanging(setting: Setting) -> Drawn:
             setting.progress(1)
         free = px(room) - sum(column.width for column in columns)
         blocks.append(beside(columns, max(free // (COLUMNS - 1), px(10))))
-    bar = scale_bar(5.0, scale, px(21), f"every strand {ARC:g} cm of arc; green as constructed, red hung wet by the dots")
+    bar = scale_bar(
+        5.0, scale, px(21), f"every strand {ARC:g} cm of arc; green as constructed, red hung wet by the dots"
+    )
     said = []
     for name in ("IV", "VIII"):
         k = [kind.name for kind in HAIR_TYPES].index(name)
@@ -153,9 +155,7 @@ def draw_hanging(setting: Setting) -> Drawn:
 
 
 def _type_words(name: str, walker: str, setting: Setting) -> Image.Image:
-    return beside(
-        [words(name, setting.px(30), bold=True), words(walker, setting.px(22), colour=FAINT)], setting.px(12), "middle"
-    )
+    return beside([words(name, setting.px(30)), words(walker, setting.px(22), colour=FAINT)], setting.px(12), "middle")
 
 
 TWIST_CHART = Figure(

@@ -59,7 +59,7 @@ def draw(setting: Setting) -> Drawn:
     dense = retexture(replace(more, attributes={}), texture, options).groom
     setting.progress(1)
     grooms = [wide, guides_groom(wide), kept, guides_groom(more), dense]
-    panels = groom_panels(grooms, cell)
+    panels = groom_panels(grooms, cell, style.head)
     names = (
         f"the groom, of wide curls: {wide.strand_count} strands",
         "its style guides",
@@ -74,14 +74,14 @@ def draw(setting: Setting) -> Drawn:
     upper = beside([blank, blocks[3], blocks[4]], px(20))
     lower = beside(blocks[:3], px(20))
     image = page(stacked([upper, lower], px(30)), setting.width, px(30))
-    said = f"From {wide.strand_count} to {more.strand_count} guides, since the radius goes from type {WIDE}'s to {TIGHT}'s."
+    said = f"From {wide.strand_count} to {more.strand_count} guides, for a radius of type {TIGHT} and not {WIDE}."
     return Drawn(image, (said,))
 
 
 FIGURE = Figure(
     title="Density kept and resampled",
-    caption="A groom of wide curls, one guide a curl (below, left), its style guides (middle), and tight curls on them, "
-    "which leave gaps (right). Above: as many guides as the new radius needs, and the same tight curls on those.",
+    caption="A groom of wide curls, one guide a curl (below, left), its style guides (middle), and tight curls on "
+    "them, which leave gaps (right). Above: as many guides as the new radius needs, and the same tight curls on those.",
     paper="style guide resampling",
     short="",
     steps=4,

@@ -21,7 +21,7 @@ from detangled.view.gallery.strands import AFTER, BEFORE, Box, box_around, stand
 
 TYPE = "VI"
 SHOWN = 5  # new strands of each engine
-ARCS = (16.0, 30.0)  # [cm] that the two strands may have
+ARCS = (22.0, 36.0)  # [cm] that the two strands may have
 ROOM, APART = 2.6, 1.0  # [cm]
 
 
@@ -69,7 +69,7 @@ def draw(setting: Setting) -> Drawn:
     for groom, own, (_, colour, name, note) in zip(stood, boxes, parts, strict=True):
         box = Box(own.left - 0.2, own.right + 0.2, low, high)
         panel = strand_panel([(groom, colour)], box, scale, px(3))
-        text = stacked([words(name, px(24), bold=True), words(note, px(21), colour=FAINT)], px(4))
+        text = stacked([words(name, px(24)), words(note, px(21), colour=FAINT)], px(4))
         blocks.append(stacked([panel, text], px(14)))
     bar = scale_bar(2.0, scale, px(21), f"every new strand {length:.1f} cm of arc")
     return Drawn(page(stacked([beside(blocks, gap), bar], px(26)), setting.width, px(30)))

@@ -28,9 +28,9 @@ def _ignored(_: int) -> None:
 class Setting:
     """How figures are made.
 
-    width: of a figure [px]; letters and lines grow with it. strands: of a style at most, thinned evenly.
-    sample: strands of a texture that are read. training: steps of a network on two strands. styles: four of them, from the longest to the shortest where that can
-    be said. progress: told of steps done, of a figure's ``steps``.
+    width: of a figure [px]; letters and lines grow with it. strands: of a style at most, thinned evenly. sample:
+    strands of a texture that are read. training: steps of a network on two strands. styles: makes four of them.
+    progress: told of steps done, of a figure's ``steps``.
     """
 
     width: int = 2000

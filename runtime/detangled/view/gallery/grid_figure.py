@@ -42,8 +42,8 @@ def draw(setting: Setting) -> Drawn:
             passed += len(result.passed_through)
             points += len(result.groom.points)
             setting.progress(1)
-        panels = groom_panels(grooms, cell)
-        name = padded(words(style.name, px(26), bold=True).rotate(90, expand=True), (left, cell[1]))
+        panels = groom_panels(grooms, cell, style.head)
+        name = padded(words(style.name, px(26)).rotate(90, expand=True), (left, cell[1]))
         rows.append(beside([name, *panels], px(10)))
     image = page(stacked(rows, px(12)), setting.width, px(30))
     said = [f"At most {setting.strands} strands a style, {points / 1e6:.1f} million points in all."]
@@ -71,7 +71,7 @@ def _texture_panels(textures: list[Texture], setting: Setting) -> list[Image.Ima
     panels = []
     for name, groom in zip(TYPES, stood, strict=True):
         kind = hair_type(name)
-        text = beside([words(name, px(30), bold=True), words(kind.walker, px(22), colour=FAINT)], px(12), "middle")
+        text = beside([words(name, px(30)), words(kind.walker, px(22), colour=FAINT)], px(12), "middle")
         panels.append(stacked([text, strand_panel([(groom, AFTER)], box, scale, px(2.6))], px(10)))
     bar = scale_bar(2.0, scale, px(18))
     last = panels[0]

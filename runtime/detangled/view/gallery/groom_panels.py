@@ -8,6 +8,7 @@ import numpy as np
 from PIL import Image
 
 from detangled.groom import Groom
+from detangled.head import Head
 from detangled.view.gallery.figure import Style
 from detangled.view.gallery.strands import WHITE
 from detangled.view.picture import SEPARATOR_PX, render
@@ -16,9 +17,14 @@ from detangled.view.shading import Look
 ON_WHITE = Look(sky_top=WHITE, sky_bottom=WHITE)
 
 
-def groom_panels(grooms: Sequence[Groom], size: tuple[int, int], view: str = "34") -> list[Image.Image]:
-    """Pictures of ``size`` (width, height) of grooms, with one camera, light and width of strand, on white."""
-    drawn = render(grooms, size, view, look=ON_WHITE).image()
+def groom_panels(
+    grooms: Sequence[Groom], size: tuple[int, int], head: Head | None = None, view: str = "34"
+) -> list[Image.Image]:
+    """Pictures of ``size`` (width, height) of grooms, with one camera, light and width of strand, on white.
+
+    head: what they grow on, drawn where there is one.
+    """
+    drawn = render(grooms, size, view, look=ON_WHITE, head=head).image()
     step = size[0] + SEPARATOR_PX
     return [drawn.crop((k * step, 0, k * step + size[0], size[1])) for k in range(len(grooms))]
 

@@ -81,19 +81,21 @@ def draw(setting: Setting) -> Drawn:
     height = max(panel.height for panel, _, _ in panels)
     blocks = []
     for panel, name, text in panels:
-        described = stacked([words(f"({name})", px(24), bold=True), words(text, px(21), column, FAINT)], px(4))
+        described = stacked([words(f"({name})", px(24)), words(text, px(21), column, FAINT)], px(4))
         blocks.append(stacked([padded(panel, (0, height), upright="start"), described], px(16)))
         setting.progress(1)
     bar = scale_bar(2.0, scale, px(21))
     image = page(stacked([beside(blocks, px(24)), bar], px(20)), setting.width, px(30))
-    return Drawn(image, (f"Beside its mean, the distance to the axis varies by {uneven[0]:.0f} % and {uneven[1]:.0f} %.",))
+    return Drawn(
+        image, (f"Beside its mean, the distance to the axis varies by {uneven[0]:.0f} % and {uneven[1]:.0f} %.",)
+    )
 
 
 FIGURE = Figure(
     title="Style guide extraction",
-    caption="(a) A strand, and the centreline (blue) that the lowest frequencies of its segments give. (b) Straightened "
-    "by it, the strand swings slowly about the axis. (c) The optimised centreline takes these swings away, and with "
-    "them the style from the texture. (d) Mapped back to the world it is the style guide (blue).",
+    caption="(a) A strand, and the centreline (blue) that the lowest frequencies of its segments give. (b) "
+    "Straightened by it, the strand swings slowly about the axis. (c) The optimised centreline takes these swings "
+    "away, and with them the style from the texture. (d) Mapped back to the world it is the style guide (blue).",
     paper="style guide extraction",
     short="The strand is one made by this program on a bent guide, not an artist's.",
     steps=6,

@@ -14,17 +14,17 @@ from detangled.geometry.signal import signals
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import style_guides
 from detangled.grooming.lengths import canonical_strands
-from detangled.labeling import label
 from detangled.texture import hair_type
 from detangled.view.gallery.figure import Drawn, Figure, Setting
 from detangled.view.gallery.sheet import FAINT, beside, page, scale_bar, stacked, words
 from detangled.view.gallery.strands import AFTER, BEFORE, PLAIN, Box, box_around, standing_beside, strand_panel
 
-TYPES = ("III", "V", "VI", "VIII")
-LENGTH = 12.0  # [cm] of arc
+TYPES = ("IV", "V", "VI", "VIII")
+LENGTH = 15.0  # [cm] of arc
 TIMES = 2.0
 ROOM = 3.0  # [cm]
 ROW_GAP = 0.5  # [cm]
+CELLS = 512
 
 
 @dataclass(frozen=True)
@@ -85,23 +85,30 @@ def draw(setting: Setting) -> Drawn:
             )
             for groom, own, colour in zip(grooms, row, (BEFORE, AFTER, PLAIN), strict=True)
         ]
-        read = [_read(groom) for groom in (one.short, one.scaled, one.drawn)]
+        found = [bending(groom) for groom in (one.short, one.scaled, one.drawn)]
         setting.progress(1)
-        text = "\n".join(f"{radius:.2f}, {wavelength:.2f} cm" for radius, wavelength in read)
-        heading = words(f"type {one.name}", px(26), bold=True)
+        text = "\n".join(f"{kappa:.2f}, {tau:.2f}" for kappa, tau in found)
+        heading = words(f"type {one.name}", px(26))
         blocks.append(stacked([beside(panels), heading, words(text, px(20), colour=FAINT)], px(8)))
-        away = max(abs(b / a - 1.0) for other in read[1:] for a, b in zip(read[0], other, strict=True))
-        said.append(f"{one.name} {100.0 * away:.0f} %")
+        scaled, drawn = (max(abs(b / a - 1.0) for a, b in zip(found[0], other, strict=True)) for other in found[1:])
+        said.append(f"{one.name} {100.0 * scaled:.0f} % and {100.0 * drawn:.0f} %")
     free = (px(1540) - sum(block.width for block in blocks)) // (len(blocks) - 1)
-    note = f"green {LENGTH:g} cm of arc, red and dark {TIMES * LENGTH:g} cm; below, radius and wavelength read, in that order"
+    note = (
+        f"green {LENGTH:g} cm of arc, red and dark {TIMES * LENGTH:g} cm; "
+        "below, in that order, median curvature and torsion [1/cm]"
+    )
     bar = scale_bar(5.0, scale, px(21), note)
     image = page(stacked([beside(blocks, min(free, 2 * gap)), bar], px(26)), setting.width, px(30))
-    return Drawn(image, (f"Radius and wavelength that are read change by up to: {', '.join(said)}.",))
+    return Drawn(image, (f"Median curvature and torsion change by up to (scaled, drawn): {'; '.join(said)}.",))
 
 
-def _read(groom: Groom) -> tuple[float, float]:
-    found = label(groom)
-    return float(np.nanmedian(found.radius)), float(np.nanmedian(found.wavelength))
+def bending(groom: Groom) -> tuple[float, float]:
+    """Median curvature and size of torsion [1/cm] of strands, their ends left out."""
+    count = groom.strand_count
+    starts = np.arange(count + 1, dtype=np.int64) * CELLS
+    canonical = style_guides(groom).canonical()
+    inner = signals(canonical, groom.offsets, starts).reshape(count, CELLS, 3)[:, CELLS // 12 : -CELLS // 12]
+    return float(np.median(inner[:, :, 0])), float(np.median(np.abs(inner[:, :, 1])))
 
 
 FIGURE = Figure(

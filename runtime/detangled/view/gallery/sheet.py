@@ -12,7 +12,6 @@ INK = (34, 34, 38)
 FAINT = (112, 112, 118)
 RULE = (214, 214, 218)
 LEADING = 1.34  # lines apart, in letters
-BOLD = 0.028  # of a letter's size: the font that comes with Pillow has one weight
 
 Align = Literal["start", "middle", "end"]
 Colour = tuple[int, int, int]
@@ -24,21 +23,17 @@ def words(
     width: int | None = None,
     colour: Colour = INK,
     align: Align = "middle",
-    bold: bool = False,
 ) -> Image.Image:
     """Lines of letters ``size`` [px] high, wrapped at ``width`` and as wide; as wide as they are where it is None."""
     font = ImageFont.load_default(size=size)
     lines = _wrapped(text, font, width)
-    stroke = BOLD * size if bold else 0.0
-    needed = max(font.getlength(line) for line in lines) + 2.0 * stroke
+    needed = max(font.getlength(line) for line in lines)
     block = Image.new("RGB", (width or round(needed) + 2, round(LEADING * size * len(lines))), PAPER)
     pen = ImageDraw.Draw(block)
-    anchor, x = {"start": ("lm", stroke), "middle": ("mm", block.width / 2), "end": ("rm", block.width - 1 - stroke)}[
-        align
-    ]
+    anchor, x = {"start": ("lm", 0.0), "middle": ("mm", block.width / 2), "end": ("rm", block.width - 1.0)}[align]
     for number, line in enumerate(lines):
         y = (number + 0.5) * LEADING * size
-        pen.text((x, y), line, fill=colour, font=font, anchor=anchor, stroke_width=stroke, stroke_fill=colour)
+        pen.text((x, y), line, fill=colour, font=font, anchor=anchor)
     return block
 
 
@@ -79,7 +74,9 @@ def stacked(blocks: Sequence[Image.Image], gap: int = 0, align: Align = "middle"
     return joined
 
 
-def padded(block: Image.Image, size: tuple[int, int], align: Align = "middle", upright: Align = "middle") -> Image.Image:
+def padded(
+    block: Image.Image, size: tuple[int, int], align: Align = "middle", upright: Align = "middle"
+) -> Image.Image:
     """The block on paper of ``size`` (width, height), or of its own where that is larger."""
     width, height = max(size[0], block.width), max(size[1], block.height)
     paper = Image.new("RGB", (width, height), PAPER)

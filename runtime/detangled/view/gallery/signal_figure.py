@@ -1,4 +1,4 @@
-"""Curvature, torsion and speed along strands, and what the labelers read: paper section "Labeling Texture Parameters"."""
+"""What strands are held as, and what the labelers read in it: paper section "Labeling Texture Parameters"."""
 
 from __future__ import annotations
 
@@ -46,9 +46,9 @@ class Measured:
     named: float
 
 
-def measured(twist: float, sample: int, seed: int) -> Measured:
+def measured(asked_twist: float, sample: int, seed: int) -> Measured:
     """Of so many new strands of this twist prevalence, the one in the middle by what is read of it."""
-    texture = asked_texture(asked(None, Profile((RADIUS,)), Profile((WAVELENGTH,)), twist))
+    texture = asked_texture(asked(None, Profile((RADIUS,)), Profile((WAVELENGTH,)), asked_twist))
     strands = generate(texture, sample, LENGTH, seed)
     found = label(strands)
     middle = int(np.argsort(found.twist, kind="stable")[sample // 2])
@@ -57,8 +57,8 @@ def measured(twist: float, sample: int, seed: int) -> Measured:
     values = signals(strand.points, strand.offsets, np.array([0, CELLS]))
     part = lower_signals(groom.points, groom.offsets).part[0]
     length = float(arc_lengths(strand.points, strand.offsets)[0])
-    numbers = (float(column[middle]) for column in (found.radius, found.wavelength, found.twist))
-    return Measured(strand, values, length, *numbers, named=1.0 - LOWER_PART * float(part))
+    radius, wavelength, twist = (float(column[middle]) for column in (found.radius, found.wavelength, found.twist))
+    return Measured(strand, values, length, radius, wavelength, twist, named=1.0 - LOWER_PART * float(part))
 
 
 def draw(setting: Setting) -> Drawn:
@@ -101,7 +101,7 @@ def draw(setting: Setting) -> Drawn:
             image = plot([Curve(x, one.values[:, k], colour, px(2))], axes, (width, heights[k]))
             last = "arc length from the root [cm]" if k == 2 else ""
             rows.append(lettered(image, axes, names[k] if number == 0 else "", letter, left, last))
-        heading = words(f"Asked for a twist prevalence of {twist:g}", px(26), width, bold=True)
+        heading = words(f"Asked for a twist prevalence of {twist:g}", px(26), width)
         read = words(
             f"read: radius {one.radius:.2f} cm, wavelength {one.wavelength:.2f} cm, twist {one.twist:.2f}",
             letter,
@@ -113,7 +113,9 @@ def draw(setting: Setting) -> Drawn:
     bar = scale_bar(2.0, scale, letter, "of the strands, which lie root to the left")
     image = page(stacked([beside(columns, px(30)), bar], px(26)), setting.width, px(30))
     read_all = "; ".join(f"{one.radius:.2f} cm, {one.wavelength:.2f} cm and {one.twist:.2f}" for one in found)
-    return Drawn(image, (f"Asked for were radius {RADIUS:g} cm and wavelength {WAVELENGTH:g} cm; read were {read_all}.",))
+    return Drawn(
+        image, (f"Asked for were radius {RADIUS:g} cm and wavelength {WAVELENGTH:g} cm; read were {read_all}.",)
+    )
 
 
 def _lying(strand: Groom) -> Groom:
@@ -131,12 +133,13 @@ def _helix(one: Measured) -> tuple[float, float, None]:
 
 FIGURE = Figure(
     title="Curvature, torsion and speed",
-    caption="Two strands asked for with one radius and wavelength, without twists and with many, of a sample the middle "
-    "ones by the twist that is read: each on its side, and below it the "
-    "three signals that it is held as. Twists are spikes of torsion, and curvature falls where turns go missing. Dashed: "
-    "curvature and torsion of the helix that the labelers read in the lower section (shaded).",
+    caption="Two strands asked for with one radius and wavelength, without twists and with many; of a sample, the "
+    "middle ones by the twist that is read. Each lies on its side, above the three signals that it is held as. Twists "
+    "are spikes of torsion, and curvature falls where turns go missing. Dashed: curvature and torsion of the helix "
+    "that the labelers read in the lower section (shaded).",
     paper="inferring texture parameters",
-    short="The paper's is a flowchart of how the labelers are trained; this shows what they are given and what they say.",
+    short="The paper's is a flowchart of how the labelers are trained; this shows what they are given, and what they "
+    "say.",
     steps=2 * len(TWISTS),
     draw=draw,
 )

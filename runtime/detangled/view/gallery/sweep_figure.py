@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import dataclass
+from itertools import pairwise
 
 import numpy as np
 from PIL import Image
@@ -80,9 +81,11 @@ def draw(setting: Setting) -> Drawn:
     blocks = []
     for steps, grooms in zip(rows, shown, strict=True):
         panels = [_panel(step, groom, box, scale, setting) for step, groom in zip(steps, grooms, strict=True)]
-        name = words(steps[0].name, px(26), bold=True).rotate(90, expand=True)
-        blocks.append(beside([padded(name, (px(44), panels[0].height)), *panels], px(26)))
-    bar = scale_bar(2.0, scale, px(21), f"the upper part of strands {LENGTH:g} cm long; read: medians of {setting.sample}")
+        heading = words(steps[0].name, px(26)).rotate(90, expand=True)
+        blocks.append(beside([padded(heading, (px(44), panels[0].height)), *panels], px(26)))
+    bar = scale_bar(
+        2.0, scale, px(21), f"the upper part of strands {LENGTH:g} cm long; read: medians of {setting.sample}"
+    )
     image = page(stacked([*blocks, bar], px(34)), setting.width, px(30))
     return Drawn(image, tuple(_said(row) for row in rows))
 
@@ -90,7 +93,7 @@ def draw(setting: Setting) -> Drawn:
 def _panel(step: Step, groom: Groom, box: Box, scale: float, setting: Setting) -> Image.Image:
     unit = "" if step.name == "twist" else " cm"
     panel = strand_panel([(groom, PLAIN)], box, scale, setting.px(3))
-    value = words(f"{step.value:g}{unit}", setting.px(26), panel.width, bold=True)
+    value = words(f"{step.value:g}{unit}", setting.px(26), panel.width)
     read = words(f"read {step.swept:.2f}{unit}", setting.px(21), panel.width, FAINT)
     return stacked([panel, value, read], setting.px(4))
 
@@ -108,10 +111,12 @@ def _shown(strands: Groom) -> Groom:
 
 
 def _said(row: list[Step]) -> str:
-    rises = all(b.swept > a.swept for a, b in zip(row[:-1], row[1:], strict=True))
+    rises = all(b.swept > a.swept for a, b in pairwise(row))
     away = max(abs(step.swept - step.value) for step in row)
     unit = "" if row[0].name == "twist" else " cm"
-    return f"The {row[0].name} that is read {'rises' if rises else 'does NOT rise'}, at most {away:.2g}{unit} from asked."
+    return (
+        f"The {row[0].name} that is read {'rises' if rises else 'does NOT rise'}, at most {away:.2g}{unit} from asked."
+    )
 
 
 FIGURE = Figure(
