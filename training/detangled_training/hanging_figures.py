@@ -133,7 +133,7 @@ def draw_hanging(setting: Setting) -> Drawn:
         for k in row:
             panels = []
             for groom, own, colour in zip(pairs[k], boxes[k], (BEFORE, AFTER), strict=True):
-                box = Box(own.left - 0.1, own.right + 0.1, low - 0.1, high + 0.1)
+                box = Box(own.left - 0.1, own.right + 0.1, low - 0.15, high + 0.2)
                 panel = strand_panel([(groom, colour)], box, scale, px(3))
                 panels.append(with_dots(panel, groom.points[groom.offsets[:-1]], box, scale, INK, px(9)))
             kind = HAIR_TYPES[k]

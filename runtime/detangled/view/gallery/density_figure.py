@@ -28,15 +28,18 @@ def available() -> bool:
     return find_spec(RESAMPLING) is not None
 
 
-def denser(groom: Groom, radius: float, seed: int) -> tuple[Groom, float]:
-    """The groom with as many guides as a texture of this radius [cm] needs, and how many times as many they are."""
+def denser(groom: Groom, radius: float, seed: int) -> tuple[Groom, float, float]:
+    """The groom with as many guides as a texture of this radius [cm] needs.
+
+    And how many times as many that should be, and the share of the scalp where none is added, as neighbours diverge.
+    """
     from detangled.grooming.density import density_change
     from detangled.grooming.density_resampling import resampled
 
     guides = style_guides(groom)
     change = density_change(guides, radius)
     made = resampled(groom, guides, change.factor, seed=seed)
-    return made.groom, made.factor
+    return made.groom, change.factor, made.refused
 
 
 def draw(setting: Setting) -> Drawn:
@@ -54,7 +57,7 @@ def draw(setting: Setting) -> Drawn:
     options = Options(seed=setting.seed + 1)
     kept = retexture(wide, texture, options).groom
     setting.progress(1)
-    more, factor = denser(wide, texture.radius, setting.seed)
+    more, factor, refused = denser(wide, texture.radius, setting.seed)
     setting.progress(1)
     dense = retexture(replace(more, attributes={}), texture, options).groom
     setting.progress(1)
@@ -64,7 +67,7 @@ def draw(setting: Setting) -> Drawn:
         f"the groom, of wide curls: {wide.strand_count} strands",
         "its style guides",
         "tight curls on them",
-        f"{more.strand_count} guides, {factor:.1f} times as many",
+        f"{more.strand_count} guides, {more.strand_count / wide.strand_count:.1f} times as many",
         "tight curls on these",
     )
     blocks = [
@@ -73,9 +76,11 @@ def draw(setting: Setting) -> Drawn:
     blank = Image.new("RGB", (cell[0], 1), PAPER)
     upper = beside([blank, blocks[3], blocks[4]], px(20))
     lower = beside(blocks[:3], px(20))
+    said = f"From {wide.strand_count} to {more.strand_count} guides; by the radii {factor:.1f} times as many"
+    if refused > 0.0:
+        said += f", but over {100.0 * refused:.0f} % of the scalp neighbours diverge too much"
     image = page(stacked([upper, lower], px(30)), setting.width, px(30))
-    said = f"From {wide.strand_count} to {more.strand_count} guides, for a radius of type {TIGHT} and not {WIDE}."
-    return Drawn(image, (said,))
+    return Drawn(image, (f"{said}.",))
 
 
 FIGURE = Figure(

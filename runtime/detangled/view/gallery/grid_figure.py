@@ -43,9 +43,9 @@ def draw(setting: Setting) -> Drawn:
             points += len(result.groom.points)
             setting.progress(1)
         panels = groom_panels(grooms, cell, style.head)
-        name = padded(words(style.name, px(26)).rotate(90, expand=True), (left, cell[1]))
+        name = padded(words(style.name, px(26)).rotate(90, expand=True), (left, panels[0].height))
         rows.append(beside([name, *panels], px(10)))
-    image = page(stacked(rows, px(12)), setting.width, px(30))
+    image = page(stacked(rows, px(26)), setting.width, px(30))
     said = [f"At most {setting.strands} strands a style, {points / 1e6:.1f} million points in all."]
     if passed:
         said.append(f"{passed} strands could not be used and passed through.")

@@ -14,6 +14,7 @@ from detangled.view.gallery.strands import WHITE
 from detangled.view.picture import SEPARATOR_PX, render
 from detangled.view.shading import Look
 
+NEARLY_WHITE = 250
 ON_WHITE = Look(sky_top=WHITE, sky_bottom=WHITE)
 
 
@@ -24,9 +25,18 @@ def groom_panels(
 
     head: what they grow on, drawn where there is one.
     """
-    drawn = render(grooms, size, view, look=ON_WHITE, head=head).image()
+    drawn = render(grooms, size, view, look=ON_WHITE).image()
     step = size[0] + SEPARATOR_PX
-    return [drawn.crop((k * step, 0, k * step + size[0], size[1])) for k in range(len(grooms))]
+    return trimmed([drawn.crop((k * step, 0, k * step + size[0], size[1])) for k in range(len(grooms))])
+
+
+def trimmed(panels: Sequence[Image.Image]) -> list[Image.Image]:
+    """Panels of one size without the rows above and below that are paper in all of them."""
+    darkest = np.min([np.asarray(panel.convert("L")) for panel in panels], axis=0)
+    rows = np.flatnonzero((darkest < NEARLY_WHITE).any(axis=1))
+    if len(rows) == 0:
+        return list(panels)
+    return [panel.crop((0, int(rows[0]), panel.width, int(rows[-1]) + 1)) for panel in panels]
 
 
 def thinned(style: Style, strands: int) -> Groom:

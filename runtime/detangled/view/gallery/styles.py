@@ -128,10 +128,10 @@ def head_mesh() -> Head:
 def _combed(place: Array, side: Array, cut: Cut) -> Array:
     """The directions (S, 3) that hair at these places is drawn in."""
     x, y, z = (place / HEAD).T
-    front = _smooth((z + 0.2) / 0.8) * _smooth((1.4 - np.abs(x)) / 0.5)
+    front = _smooth((z + 0.2) / 0.8) * _smooth((1.3 - np.abs(x)) / 0.5) * _smooth((y + 0.4) / 0.6)
     top = _smooth((y - 0.1) / 0.6)
     lead = np.zeros_like(place)
-    lead[:, 0] = side * (1.1 * top + 1.1 * front)
+    lead[:, 0] = side * (0.9 * top + 0.9 * front)
     lead[:, 1] = -cut.down
     # Beyond the back of the head it falls.
     lead[:, 2] = -cut.back * np.maximum(front, top) * _smooth((z + 1.0) / 0.7) - 0.5 * front * np.abs(side)
