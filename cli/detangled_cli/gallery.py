@@ -58,7 +58,7 @@ class FigureName(click.ParamType):
 @click.option(
     "--strands",
     type=click.IntRange(min=8),
-    default=320,
+    default=128,
     show_default=True,
     metavar="N",
     help="Of each style at most.",

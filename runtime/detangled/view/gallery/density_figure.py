@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from dataclasses import replace
+from importlib import import_module
 from importlib.util import find_spec
 
 from PIL import Image
@@ -18,9 +19,10 @@ from detangled.view.gallery.groom_panels import groom_panels, thinned
 from detangled.view.gallery.sheet import FAINT, PAPER, beside, page, stacked, words
 
 WIDE, TIGHT = "IV", "VI"  # of the groom as it comes, and as it is made
-SPARSE = 0.3  # of a style's strands: each then stands for a curl
+SPARSE = 0.75  # of a style's strands: each then stands for a curl
 CELL = (480, 500)  # [px] of a figure 1600 px wide
-RESAMPLING = "detangled.grooming.density_resampling"
+# Loaded by name: not every version has them.
+DENSITY, RESAMPLING = "detangled.grooming.density", "detangled.grooming.density_resampling"
 
 
 def available() -> bool:
@@ -33,12 +35,9 @@ def denser(groom: Groom, radius: float, seed: int) -> tuple[Groom, float, float]
 
     And how many times as many that should be, and the share of the scalp where none is added, as neighbours diverge.
     """
-    from detangled.grooming.density import density_change
-    from detangled.grooming.density_resampling import resampled
-
     guides = style_guides(groom)
-    change = density_change(guides, radius)
-    made = resampled(groom, guides, change.factor, seed=seed)
+    change = import_module(DENSITY).density_change(guides, radius)
+    made = import_module(RESAMPLING).resampled(groom, guides, change.factor, seed=seed)
     return made.groom, change.factor, made.refused
 
 

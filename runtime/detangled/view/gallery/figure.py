@@ -35,7 +35,7 @@ class Setting:
 
     width: int = 2000
     seed: int = 0
-    strands: int = 320
+    strands: int = 128
     sample: int = 24
     training: int = 600
     styles: Callable[[], tuple[Style, ...]] = tuple

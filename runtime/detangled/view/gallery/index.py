@@ -55,7 +55,7 @@ _FIGURE = """<section id="{name}">
 <figure>
 <a href="{name}.png"><img src="{name}.png" width="{width}" height="{height}" alt="{title}"></a>
 <figcaption>
-<p><strong>{title}.</strong> {caption}</p>
+<p>{caption}</p>
 {more}</figcaption>
 </figure>
 </section>
