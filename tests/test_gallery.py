@@ -18,8 +18,9 @@ from detangled.formats import write
 from detangled.geometry.signal import signals
 from detangled.groom import Groom
 from detangled.texture import hair_type
-from detangled.view.gallery import groom_files, length_figure, styles
+from detangled.view.gallery import density_figure, groom_files, length_figure, styles
 from detangled.view.gallery.figure import Drawn, Figure
+from detangled.view.gallery.groom_panels import trimmed
 from detangled.view.gallery.guide_figure import unevenness
 from detangled.view.gallery.index import save_figure, write_index
 from detangled.view.gallery.plot import Axes, Curve, even_ticks, plot
@@ -284,3 +285,21 @@ def test_the_box_around_grooms_holds_them() -> None:
     box = box_around([groom])
     assert (box.left, box.right, box.top) == (pytest.approx(-0.5, abs=0.02), pytest.approx(0.5), 0.0)
     assert box.grown(1.0).width == pytest.approx(box.width + 2.0)
+
+
+def test_panels_are_trimmed_alike() -> None:
+    panels = [Image.new("RGB", (10, 20), "white") for _ in range(2)]
+    panels[0].putpixel((3, 5), (0, 0, 0))
+    panels[1].putpixel((7, 12), (0, 0, 0))
+    cut = trimmed(panels)
+    assert [panel.size for panel in cut] == [(10, 8)] * 2
+    assert cut[0].getpixel((3, 0)) == cut[1].getpixel((7, 7)) == (0, 0, 0)
+    assert trimmed([Image.new("RGB", (4, 4), "white")])[0].size == (4, 4)
+
+
+def test_density_is_left_out_where_it_cannot_be_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    monkeypatch.setattr(density_figure, "RESAMPLING", "detangled.grooming.nothing_of_the_kind")
+    result = verb(tmp_path, "--only", "density", "--strands", 8)
+    assert result.exit_code != 0
+    assert "the density of guides cannot be changed by this version" in result.stderr
+    assert not (tmp_path / "density.png").exists()
