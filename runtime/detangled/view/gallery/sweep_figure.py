@@ -115,7 +115,7 @@ def _said(row: list[Step]) -> str:
     away = max(abs(step.swept - step.value) for step in row)
     unit = "" if row[0].name == "twist" else " cm"
     return (
-        f"The {row[0].name} that is read {'rises' if rises else 'does NOT rise'}, at most {away:.2g}{unit} from asked."
+        f"The {row[0].name} that is read {'rises' if rises else 'does not rise'}, at most {away:.2g}{unit} from asked."
     )
 
 
