@@ -13,11 +13,10 @@ import pytest
 from click.testing import CliRunner, Result
 from PIL import Image
 
-from detangled.asked import asked, asked_texture
+from detangled.base_texture import Texture
 from detangled.formats import write
 from detangled.geometry.signal import signals
 from detangled.groom import Groom
-from detangled.texture import hair_type
 from detangled.view.gallery import density_figure, groom_files, length_figure, styles
 from detangled.view.gallery.figure import Drawn, Figure
 from detangled.view.gallery.groom_panels import trimmed
@@ -152,7 +151,7 @@ def test_unevenness_is_none_for_a_coil_about_its_axis() -> None:
 
 
 def test_a_faster_strand_is_longer_by_as_much_and_bends_as_before() -> None:
-    texture = asked_texture(asked(hair_type("VI")))
+    texture = Texture(cell_width=0.08, turn=2.9, median_arc=20.0, arc_per_axis=2.3, radius=0.42, wavelength=1.25)
     groom = Groom.from_strands([helix(0.42, 1.25, 7.0)], up="z")
     longer = length_figure.faster(groom, texture, 2.0)
     assert longer.polyline_lengths()[0] == pytest.approx(2.0 * groom.polyline_lengths()[0], rel=0.01)
