@@ -136,7 +136,7 @@ FIGURE = Figure(
     caption="Two strands asked for with one radius and wavelength, without twists and with many; of a sample, the "
     "middle ones by the twist that is read. Each lies on its side, above the three signals that it is held as. Twists "
     "are spikes of torsion, and curvature falls where turns go missing. Dashed: curvature and torsion of the helix "
-    "that the labelers read in the lower section (shaded).",
+    "that the labelers read in the lower section (shaded). Spikes are cut off at the axes' ends.",
     paper="inferring texture parameters",
     short="The paper's is a flowchart of how the labelers are trained; this shows what they are given, and what they "
     "say.",
