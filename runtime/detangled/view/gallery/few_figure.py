@@ -78,11 +78,12 @@ def draw(setting: Setting) -> Drawn:
 STEPS_TRAINING = 20  # steps of progress that training is told as
 FIGURE = Figure(
     title="Learning from two strands",
-    caption="New strands (red) from two alone (green), by either engine. Features of the two, such as breaks of the "
-    "coil, sections that jut out and hooks, come back in other places and other sizes.",
+    caption="New strands (red) from two alone (green), by either engine. By patches, features of the two, such as "
+    "breaks of the coil, sections that jut out and hooks, come back in other places and other sizes.",
     paper="a diverse set from two input strands",
-    short="The two are strands simulated by this program, not an artist's; with so few, patches repeats longer pieces "
-    "of them than the network does.",
+    short="Patches does what the paper's figure shows. The network, when this was last looked at, mostly repeated one "
+    "of the two from root to tip. The two are strands simulated by this program, not an "
+    "artist's.",
     steps=1 + 2 + STEPS_TRAINING + 1,
     draw=draw,
 )
