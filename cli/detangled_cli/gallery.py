@@ -66,7 +66,7 @@ class FigureName(click.ParamType):
 @click.option(
     "--sample",
     type=click.IntRange(min=1),
-    default=24,
+    default=16,
     show_default=True,
     metavar="N",
     help="Strands of a texture that are read.",
@@ -74,7 +74,7 @@ class FigureName(click.ParamType):
 @click.option(
     "--training",
     type=click.IntRange(min=1),
-    default=600,
+    default=300,
     show_default=True,
     metavar="N",
     help="Steps that a network is trained on two strands.",

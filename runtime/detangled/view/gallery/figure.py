@@ -36,8 +36,8 @@ class Setting:
     width: int = 2000
     seed: int = 0
     strands: int = 128
-    sample: int = 24
-    training: int = 600
+    sample: int = 16
+    training: int = 300
     styles: Callable[[], tuple[Style, ...]] = tuple
     progress: Callable[[int], object] = field(default=_ignored)
 
