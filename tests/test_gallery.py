@@ -17,7 +17,7 @@ from detangled.base_texture import Texture
 from detangled.formats import write
 from detangled.geometry.signal import signals
 from detangled.groom import Groom
-from detangled.view.gallery import density_figure, groom_files, length_figure, styles
+from detangled.view.gallery import groom_files, length_figure, styles
 from detangled.view.gallery.figure import Drawn, Figure
 from detangled.view.gallery.groom_panels import trimmed
 from detangled.view.gallery.guide_figure import unevenness
@@ -308,11 +308,3 @@ def test_panels_are_trimmed_alike() -> None:
     assert [panel.size for panel in cut] == [(10, 8)] * 2
     assert cut[0].getpixel((3, 0)) == cut[1].getpixel((7, 7)) == (0, 0, 0)
     assert trimmed([Image.new("RGB", (4, 4), "white")])[0].size == (4, 4)
-
-
-def test_density_is_left_out_where_it_cannot_be_changed(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> None:
-    monkeypatch.setattr(density_figure, "RESAMPLING", "detangled.grooming.nothing_of_the_kind")
-    result = verb(tmp_path, "--only", "density", "--strands", 8)
-    assert result.exit_code != 0
-    assert "the density of guides cannot be changed by this version" in result.stderr
-    assert not (tmp_path / "density.png").exists()

@@ -125,7 +125,7 @@ def command(
     check_folder(folder / "index.html")
     chosen = [name for name in FIGURES if name in only] if only else list(FIGURES)
     styles = _styles(grooms, strands, seed)
-    figures = {name: _figure(name) for name in chosen if _can_be_made(name, asked=bool(only))}
+    figures = {name: _figure(name) for name in chosen}
     announce_first_run("resting.hang_all" if {"twists", "hanging"} & set(figures) else "placing.resample")
     set_threads(threads)
     with progress_bar("figures", sum(figure.steps for figure in figures.values())) as bar:
@@ -152,17 +152,6 @@ def _figure(name: str) -> Figure:
     module, attribute = FIGURES[name]
     figure: Figure = getattr(import_module(module), attribute)
     return figure
-
-
-def _can_be_made(name: str, asked: bool) -> bool:
-    """Whether this version can make a figure; said where it cannot and was not asked to alone."""
-    if name != "density" or asked:
-        return True
-    from detangled.view.gallery.density_figure import available
-
-    if not available():
-        warn("density is left out: this version cannot change the density of guides")
-    return available()
 
 
 def _styles(paths: tuple[Path, ...], strands: int, seed: int) -> tuple[Style, ...]:

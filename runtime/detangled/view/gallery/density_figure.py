@@ -3,14 +3,13 @@
 from __future__ import annotations
 
 from dataclasses import replace
-from importlib import import_module
-from importlib.util import find_spec
 
 from PIL import Image
 
 from detangled.asked import asked, asked_texture
-from detangled.errors import DetangledError
 from detangled.groom import Groom
+from detangled.grooming.density import density_change
+from detangled.grooming.density_resampling import resampled
 from detangled.grooming.guides import guides_groom, style_guides
 from detangled.retexturing import Options, retexture
 from detangled.texture import hair_type
@@ -21,13 +20,6 @@ from detangled.view.gallery.sheet import FAINT, PAPER, beside, page, stacked, wo
 WIDE, TIGHT = "IV", "VI"  # of the groom as it comes, and as it is made
 SPARSE = 0.75  # of a style's strands: each then stands for a curl
 CELL = (480, 500)  # [px] of a figure 1600 px wide
-# Loaded by name: not every version has them.
-DENSITY, RESAMPLING = "detangled.grooming.density", "detangled.grooming.density_resampling"
-
-
-def available() -> bool:
-    """Whether this version can change the density of guides."""
-    return find_spec(RESAMPLING) is not None
 
 
 def denser(groom: Groom, radius: float, seed: int) -> tuple[Groom, float, float]:
@@ -36,15 +28,13 @@ def denser(groom: Groom, radius: float, seed: int) -> tuple[Groom, float, float]
     And how many times as many that should be, and the share of the scalp where none is added, as neighbours diverge.
     """
     guides = style_guides(groom)
-    change = import_module(DENSITY).density_change(guides, radius)
-    made = import_module(RESAMPLING).resampled(groom, guides, change.factor, seed=seed)
+    change = density_change(guides, radius)
+    made = resampled(groom, guides, change.factor, seed=seed)
     return made.groom, change.factor, made.refused
 
 
 def draw(setting: Setting) -> Drawn:
     """Below: a groom of wide curls, its guides, tight curls on them. Above: denser guides, tight curls on those."""
-    if not available():
-        raise DetangledError("the density of guides cannot be changed by this version: leave this figure out")
     px = setting.px
     cell = (px(CELL[0]), px(CELL[1]))
     style = setting.styles()[1]

@@ -3,8 +3,6 @@
 from __future__ import annotations
 
 from collections.abc import Sequence
-from inspect import signature
-from typing import Any
 
 import numpy as np
 from PIL import Image
@@ -27,9 +25,7 @@ def groom_panels(
 
     head: what they grow on, drawn where there is one.
     """
-    # Not every version of ``render`` draws heads.
-    more: dict[str, Any] = {"head": head} if "head" in signature(render).parameters else {}
-    drawn = render(grooms, size, view, look=ON_WHITE, **more).image()
+    drawn = render(grooms, size, view, look=ON_WHITE, head=head).image()
     step = size[0] + SEPARATOR_PX
     return trimmed([drawn.crop((k * step, 0, k * step + size[0], size[1])) for k in range(len(grooms))])
 
