@@ -13,40 +13,29 @@ from __future__ import annotations
 import argparse
 import sys
 from collections.abc import Sequence
-from itertools import pairwise
 from pathlib import Path
 
 import numpy as np
-from numpy.typing import NDArray
 from PIL import Image, ImageDraw, ImageFont
 
 from detangled import Groom
-from detangled.texture import HAIR_TYPES, TextureParameters
+from detangled.texture import HAIR_TYPES
 from detangled.view.picture import CAPTION, SEPARATOR, SEPARATOR_PX, render, save
 from detangled.view.shading import Look
-from detangled_training.hanging import hang
-from detangled_training.material import Fibres
-from detangled_training.strands import Recipes, Strands, make_strands
-from detangled_training.variants import draw_fibres
+from detangled_training.hanging_figures import (
+    ARC,
+    TWIST_ARC,
+    TWIST_TEXTURE,
+    TWISTS,
+    twisted_strands,
+    typed_strands,
+)
 
 IN_PANEL = 3
-ARC = 15.0  # [cm] of every strand of the types
 COLUMNS = 4
 TYPES_SIZE = (440, 700)  # [px] of a panel before its free rows are cut off
-
-IN_TWIST_PANEL = 4
-TWISTS = (0.0, 0.25, 0.5, 0.75, 1.0)
-# Tightly coiled: a turn takes 1.3 cm of arc, so that at 0.25 one comes in two turns, at 1 two in each. Twists are as
-# many in a cm of any hair: in wide curls hardly a turn is without one at 0.25 already.
-TWIST_TEXTURE = TextureParameters(0.2, 0.5)
-TWIST_ARC = 26.0  # [cm], about 19 turns
 TWISTS_SIZE = (400, 640)
 
-ROOM = 3.2  # [cm] that a strand of the types may be wide, where it can be turned so
-TWIST_ROOM = 1.2
-GAP = 0.6  # [cm] between strands, at least
-APART = 1.5  # [cm] between their middles, at least
-TURNS = np.linspace(0.0, np.pi, 36, endpoint=False)  # about the vertical, that a strand is tried at
 PAPER = (0.74, 0.745, 0.755)  # even, for panels are cut and joined
 ROW_MARGIN = 0.5  # [cm] above and below the strands of a row
 FONT_PX = 24
@@ -71,31 +60,25 @@ def main(arguments: list[str] | None = None) -> int:
 
 def types_sheet(seed: int) -> Image.Image:
     """Four types beside each other: as constructed, below it hung, and below that the next four."""
-    made, hung = [], []
-    for index, kind in enumerate(HAIR_TYPES):
-        strands = strands_of(kind.parameters(), ARC, IN_PANEL, seed, index * IN_PANEL)
-        fibres, roll = draw_fibres(np.arange(index * IN_PANEL, (index + 1) * IN_PANEL), seed, 0)
-        made.append(beside(strands.points, strands.offsets, ROOM))
-        hung.append(hanging(strands, fibres, roll, ROOM, f"type {kind.name}"))
+    pairs = typed_strands(seed, IN_PANEL)
+    for kind, (_, hung) in zip(HAIR_TYPES, pairs, strict=True):
+        tell(f"type {kind.name}", hung)
     names = [f"{kind.name} ({kind.walker})" for kind in HAIR_TYPES]
     rows = []
     for first in range(0, len(HAIR_TYPES), COLUMNS):
         own = slice(first, first + COLUMNS)
-        for grooms, state in ((made, "as constructed"), (hung, "hung wet")):
-            rows.append((grooms[own], [f"{name}, {state}" for name in names[own]]))
+        for which, state in enumerate(("as constructed", "hung wet")):
+            rows.append(([pair[which] for pair in pairs[own]], [f"{name}, {state}" for name in names[own]]))
     note = f"every strand {ARC:g} cm of arc, all in one scale"
     return sheet(rows, TYPES_SIZE, note, bar=5.0)
 
 
 def twist_chart(seed: int) -> Image.Image:
     """One texture at five twist prevalences, hung."""
-    row, names = [], []
-    for twist in TWISTS:
-        texture = TextureParameters(TWIST_TEXTURE.radius, TWIST_TEXTURE.wavelength, twist)
-        strands = strands_of(texture, TWIST_ARC, IN_TWIST_PANEL, seed)
-        name = f"T_f {twist:g}"
-        row.append(hanging(strands, Fibres.usual(IN_TWIST_PANEL), np.zeros(IN_TWIST_PANEL), TWIST_ROOM, name))
-        names.append(name)
+    row = twisted_strands(seed)
+    names = [f"T_f {twist:g}" for twist in TWISTS]
+    for name, hung in zip(names, row, strict=True):
+        tell(name, hung)
     note = (
         f"radius {10 * TWIST_TEXTURE.radius:g} mm, wavelength {10 * TWIST_TEXTURE.wavelength:g} mm, "
         f"every strand {TWIST_ARC:g} cm of arc, hung wet"
@@ -103,43 +86,10 @@ def twist_chart(seed: int) -> Image.Image:
     return sheet([(row, names)], TWISTS_SIZE, note, bar=2.0)
 
 
-def strands_of(texture: TextureParameters, arc: float, count: int, seed: int, first: int = 0) -> Strands:
-    """Strands alike but for their hands, where they begin on the circle, and their twists."""
-    rng = np.random.default_rng([seed, first])
-    hand, phase = np.where(rng.random(count) < 0.5, -1, 1), 2.0 * np.pi * rng.random(count)
-    recipes = Recipes.asked(
-        texture.radius, texture.wavelength, texture.twist, np.full(count, arc), hand, phase, first=first
-    )
-    return make_strands(recipes, seed)
-
-
-def hanging(strands: Strands, fibres: Fibres, roll: NDArray[np.float64], room: float, name: str) -> Groom:
-    """Strands hung wet, beside each other. Raises RuntimeError where one found no rest."""
-    hung = hang(strands.points, strands.offsets, fibres, roll=roll)
-    if not hung.converged.all():
-        raise RuntimeError(f"{name}: {np.count_nonzero(~hung.converged)} strands found no rest")
+def tell(name: str, hung: Groom) -> None:
+    """Say how deep strands hang."""
     deep = -np.minimum.reduceat(hung.points[:, 2], hung.offsets[:-1])
     print(f"{name:12}{'hangs to [cm]':>16}{''.join(f'{depth:7.1f}' for depth in deep)}", flush=True)
-    return beside(hung.points, hung.offsets, room)
-
-
-def beside(points: NDArray[np.float64], offsets: NDArray[np.int64], room: float) -> Groom:
-    """Strands in a row that do not cross, roots at one height, each seen as wide as ``room`` [cm] has place for."""
-    placed = np.array(points)
-    middle, edge = -APART, -np.inf
-    for a, b in pairwise(offsets):
-        own = placed[a:b] - points[a]
-        across = own[:, :1] * np.cos(TURNS) - own[:, 1:2] * np.sin(TURNS)
-        width = np.ptp(across, axis=0)
-        turn = TURNS[np.argmax(np.where(width <= room, width, -width))]
-        x = own[:, 0] * np.cos(turn) - own[:, 1] * np.sin(turn)
-        y = own[:, 0] * np.sin(turn) + own[:, 1] * np.cos(turn)
-        half = 0.5 * np.ptp(x)
-        middle = max(middle + APART, edge + GAP + half)
-        edge = middle + half
-        placed[a:b] = np.stack([x - x.min() - half + middle, y - 0.5 * (y.min() + y.max()), own[:, 2]], axis=1)
-    placed[:, 0] -= 0.5 * (placed[:, 0].min() + placed[:, 0].max())
-    return Groom(placed, offsets, up="z")
 
 
 def sheet(rows: Sequence[tuple[list[Groom], list[str]]], size: tuple[int, int], note: str, bar: float) -> Image.Image:

@@ -18,21 +18,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from detangled.asked import DEFAULT_METHOD, METHODS, asked, asked_texture
-from detangled.generation import generate, side_by_side
+from detangled.asked import DEFAULT_METHOD, METHODS
+from detangled.generation import side_by_side
 from detangled.groom import Groom
-from detangled.labeling import label
 from detangled.models import LABELER, load_labeler
-from detangled.texture import Profile, hair_type
+from detangled.view.gallery.sweep_figure import SWEPT, sweep_step
 from detangled.view.picture import render, save
 
-SWEPT: dict[str, tuple[float, ...]] = {
-    "radius": (0.2, 0.3, 0.42, 0.6, 0.8),
-    "wavelength": (0.6, 0.9, 1.25, 1.8, 2.6),
-    "twist": (0.0, 0.2, 0.4, 0.6, 0.8),
-}
 JUDGE = Path(__file__).parent / "judge"
-LENGTH = 24.0  # [cm]
 SHOWN = 4  # strands of a panel
 SIZE = (360, 440)  # [px] of a panel
 COLOURS = 192
@@ -52,16 +45,11 @@ def main(arguments: list[str] | None = None) -> int:
         panels = []
         read = []
         for value in values:
-            groom = strands(name, value, options.method, options.strands, options.seed)
-            found = label(groom, model=judge)
-            read.append([float(np.nanmedian(numbers)) for numbers in (found.radius, found.wavelength, found.twist)])
-            print(
-                f"{name} {value:4.2f}: read "
-                + ", ".join(f"{one} {x:.2f}" for one, x in zip(SWEPT, read[-1], strict=True))
-            )
-            panels.append(middle(side_by_side(groom.select(np.arange(min(SHOWN, options.strands))))))
-        column = [numbers[list(SWEPT).index(name)] for numbers in read]
-        rises = bool((np.diff(column) > 0.0).all())
+            step = sweep_step(name, value, options.strands, options.seed, options.method, judge)
+            read.append(step.swept)
+            print(f"{name} {value:4.2f}: read " + ", ".join(f"{one} {x:.2f}" for one, x in step.read.items()))
+            panels.append(middle(side_by_side(step.strands.select(np.arange(min(SHOWN, options.strands))))))
+        rises = bool((np.diff(read) > 0.0).all())
         print(f"{name} {'rises' if rises else 'does not rise: FAIL'}", flush=True)
         ok &= rises
         captions = [f"{name} {value:g}" + (" cm" if name != "twist" else "") for value in values]
@@ -70,13 +58,6 @@ def main(arguments: list[str] | None = None) -> int:
         picture = np.concatenate(rows)
         save(Image.fromarray(picture).quantize(COLOURS, dither=Image.Dither.NONE), options.picture)
     return int(not ok)
-
-
-def strands(name: str, value: float, method: str, count: int, seed: int) -> Groom:
-    usual = asked(hair_type("VI"))
-    numbers = {"radius": usual.radius, "wavelength": usual.wavelength, "twist": usual.twist}
-    numbers[name] = value if name == "twist" else Profile((value,))
-    return generate(asked_texture(asked(**numbers), method), count, LENGTH, seed)  # type: ignore[arg-type]
 
 
 def middle(groom: Groom) -> Groom:

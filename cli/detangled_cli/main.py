@@ -45,6 +45,7 @@ VERBS = {
     "convert": Verb("detangled_cli.convert", "command", "Convert a groom: format, unit, up axis, engine."),
     "validate": Verb("detangled_cli.validate", "command", "Say what an engine would lose of a groom file."),
     "label": Verb("detangled_cli.label", "command", "Read the texture of hair: radius, wavelength, twist, type."),
+    "gallery": Verb("detangled_cli.gallery", "command", "Make the paper's figures on this program's own models."),
     "info": Verb("detangled_cli.info", "command", "Describe a groom: strands, lengths, unit, attributes."),
     "train": Verb("detangled_cli.train", "command", "Train and export models (needs the extra: detangled[train])."),
 }
