@@ -14,7 +14,6 @@ from detangled.groom import Groom
 from detangled.grooming.density import density_change
 from detangled.grooming.density_resampling import Resampled, resampled
 from detangled.grooming.guides import StyleGuides
-from detangled.grooming.interpenetration import entering
 from detangled.grooming.keeping_out import Keeper
 from detangled.grooming.scalp import scalp_of
 from detangled.head import Head
@@ -49,7 +48,7 @@ def guides_for(
     before, after = len(guides.kept), len(dense.guides.kept)
     said = f"style guides: {before} to {after}, {after / max(before, 1):.2f} times ({reason})"
     if dropped:
-        said += f"; {dropped} that would enter the head were left out"
+        said += f"; {dropped} that would lie deep in the head were left out"
     if dense.refused:
         said += f"; none on {100.0 * dense.refused:.0f} % of the scalp, where neighbours part"
     return replace(dense, notes=(*notes, *dense.notes)), said
@@ -59,10 +58,8 @@ def _kept_out(dense: Resampled, keeper: Keeper) -> tuple[Resampled, int]:
     """Guides between others turned out of the head, and how many had to go since no small turn brings them out."""
     new = np.flatnonzero(dense.original[dense.guides.kept] < 0)
     turned = keeper.turned(dense.guides, new)
-    strands = turned.groom.select(new)
-    rows = np.repeat(np.isin(np.arange(turned.groom.strand_count), new), turned.groom.point_counts)
-    inside = np.zeros(turned.groom.strand_count, dtype=np.bool_)
-    inside[new] = entering(turned.points[rows], strands.offsets, keeper.distance)
+    inside = keeper.deep(replace(turned.groom, points=turned.points, attributes={}))
+    inside[np.setdiff1d(np.arange(len(inside)), new)] = False
     return _without(replace(dense, guides=turned), inside), int(np.count_nonzero(inside))
 
 

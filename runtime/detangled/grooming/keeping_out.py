@@ -18,6 +18,8 @@ from detangled.head import Head
 HAIR_WIDTH = 0.008  # [cm] of hair, where a groom does not say
 THICKEST = 0.05  # [cm] what is said to be thicker is a strip or a tube
 SPARE = 0.02  # [cm] beyond half a hair's width: what the grid and the way between points may be off
+# [cm] What enters less deep is lifted off when strands are placed: of long hair the least turn swings the tips further.
+LIFTED = 0.3
 WIDEST_WINDOW = 1.5  # [cm] of a guide that is lifted together, also where hair hardly curls
 LEAST_WINDOW = 0.2
 LISTED = 5  # strands in a sentence
@@ -82,21 +84,26 @@ class Keeper:
         return None if self._wish is OnPenetration.KEEP else self._room
 
     def turned(self, guides: StyleGuides, chosen: NDArray[np.int64] | None = None) -> StyleGuides:
-        """Guides, and the strands about them, turned out of the head where that takes no more than a small turn.
+        """Guides that enter the head deeply turned out of it, where that takes no more than a small turn.
 
         chosen: those that may be turned; None for all.
         """
         if self._wish is OnPenetration.KEEP:
             return guides
         strands = replace(guides.groom, points=guides.points, attributes={})
-        some = strands if chosen is None else strands.select(chosen)
+        deep = self.deep(strands)
+        if chosen is not None:
+            deep[np.setdiff1d(np.arange(strands.strand_count), chosen)] = False
+        some = strands.select(deep)
         found = turned_out(some.points, some.offsets, self.distance, self._room.clearance)
         self._turned += int(np.count_nonzero(found.angles))
-        if chosen is None:
-            return replace(guides, points=found.points)
         points = guides.points.copy()
-        points[np.repeat(np.isin(np.arange(strands.strand_count), chosen), strands.point_counts)] = found.points
+        points[np.repeat(deep, strands.point_counts)] = found.points
         return replace(guides, points=points)
+
+    def deep(self, guides: Groom) -> NDArray[np.bool_]:
+        """Which guides (S,) enter the head more deeply than strands on them are lifted."""
+        return entering(guides.points, guides.offsets, self.distance, LIFTED)
 
     def finished(self, groom: Groom) -> tuple[Groom, Penetration]:
         """The new groom, without what still enters where that is to go, and what there is to say of it."""
