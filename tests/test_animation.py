@@ -202,6 +202,16 @@ def test_strands_that_were_passed_through_move_as_they_did() -> None:
     np.testing.assert_allclose(out, styled.points + MOVE, atol=1e-9)
 
 
+def test_a_strand_that_cannot_be_followed_stays_where_it_is_beside_new_ones() -> None:
+    groom = lines(3)
+    point = np.array([[7.0, 0.0, 0.0]])
+    rest = Groom.from_strands([groom.strand(0), point, groom.strand(1)])
+    styled = Groom.from_strands([*(coils_on(groom).strand(k) for k in (0, 1)), point, coils_on(groom).strand(2)])
+    out = Groom(carrier(rest, styled).points(rest.points + MOVE), styled.offsets)
+    np.testing.assert_allclose(out.strand(2), point)
+    np.testing.assert_allclose(out.strand(0), styled.strand(0) + MOVE, atol=1e-9)
+
+
 def test_new_strands_go_with_the_nearest_old_ones() -> None:
     groom = lines(6)
     dense = Groom.from_strands([groom.strand(k // 3) + 0.05 * (k % 3) for k in range(18)])

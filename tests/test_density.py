@@ -292,6 +292,10 @@ def test_attributes_of_new_guides_are_mixed_or_the_nearest_and_ids_are_fresh() -
     ids = result.groom.attributes["groom_id"].values
     assert len(np.unique(ids)) == len(ids)
     assert ids.dtype == np.int32
+    narrow = replace(groom, attributes={"groom_id": Attribute(np.arange(-73, 127, dtype=np.int8), Scope.STRAND)})
+    ids = denser(narrow, 3.0).groom.attributes["groom_id"].values
+    assert ids[:200].tolist() == list(range(-73, 127))
+    assert ids[200:].min() == 127
     np.testing.assert_allclose(values["uv"], x[:, :2] / 10.0, atol=1e-6)
     assert set(np.unique(values["group"])) <= {0, 1}
     assert (values["name"][x[:, 0] > 6.5] == "right").all()

@@ -258,7 +258,7 @@ def test_groups_beyond_the_limits_are_split() -> None:
     split, told = unreal.split_groups(groom, 4, 1000)
     assert split.attributes["groom_group_id"].values.tolist() == [0] * 4 + [1] * 4 + [2] * 3
     assert split.attributes["groom_group_name"].values[[0, 4, 8]].tolist() == ["hair", "hair_2", "hair_3"]
-    assert told == ["group 0 was split into 3: Unreal takes 4 strands a group"]
+    assert told == ["group 0 was split into 3: Unreal takes 4 strands and 1,000 points a group"]
     split, _ = unreal.split_groups(groom, 1000, 9)
     assert np.bincount(split.attributes["groom_group_id"].values).tolist() == [2, 2, 2, 2, 2, 1]
     assert unreal.split_groups(groom, 11, 44) == (groom, [])

@@ -16,8 +16,10 @@ from PIL import Image
 from detangled.fitting import fit
 from detangled.formats import read, write
 from detangled.groom import Attribute, Groom, Scope
+from detangled.grooming import keeping_out
 from detangled.grooming.density import density_change
 from detangled.grooming.guides import style_guides
+from detangled.grooming.interpenetration import OnPenetration
 from detangled.models import models_folder
 from detangled.retexturing import Options, retexture
 from detangled.retexturing import Result as Retextured
@@ -86,6 +88,41 @@ def test_the_texture_decides_how_many_there_are(hair: Groom) -> None:
     assert made.groom.strand_count == pytest.approx(change.factor * hair.strand_count, rel=0.1)
 
 
+def test_hair_that_has_to_be_turned_out_of_the_head_is_as_dense_as_other_hair(hair: Groom) -> None:
+    """Straight hair that dips into the head: turned, it is no curlier than it was."""
+    sunk = []
+    for root in cap():
+        side = np.cross(root, [0.3, 0.0, 1.0])
+        along = np.linspace(0.0, 5.0, 8)[:, None]
+        sunk.append(root + along * (side / np.linalg.norm(side) - 0.25 * root / RADIUS))
+    counts = [retextured(groom, None).groom.strand_count for groom in (hair, Groom.from_strands(sunk))]
+    assert counts[1] > 0.8 * counts[0]
+
+
+def test_a_damaged_strand_is_told_by_its_number_where_others_are_deleted(
+    hair: Groom, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    far = np.array([[0.0, RADIUS, 0.0], [0.0, 1e10, 0.0]])
+    ids = {"groom_id": Attribute(np.arange(4, dtype=np.int32), Scope.STRAND)}
+    groom = Groom.from_strands([hair.strand(0), hair.strand(1), far, hair.strand(2)], attributes=ids)
+    asked = []
+
+    def first_enters(points: NDArray[np.float64], offsets: NDArray[np.int64], *_: object) -> NDArray[np.bool_]:
+        asked.append(len(offsets) - 1)
+        return np.arange(len(offsets) - 1) == 0
+
+    monkeypatch.setattr(keeping_out, "entering", first_enters)
+    options = Options(head=sphere(3), on_penetration=OnPenetration.DELETE, max_points=60)
+    made = retexture(groom, fit(read(COILY, unit="cm")), options)
+    assert asked[-1] == 3  # never of a strand that is kilometres long
+    names = made.groom.attributes["groom_id"].values.tolist()
+    assert 0 not in names
+    (passed,) = made.passed_through.tolist()
+    assert names[passed] == 2
+    assert made.strands == len(names) - 1
+    np.testing.assert_array_equal(made.groom.strand(passed), far)
+
+
 # ---- the command
 
 
@@ -151,6 +188,15 @@ def test_a_report_and_a_picture_say_what_was_done(files: tuple[Path, Path], tmp_
     manifest = json.loads((models_folder() / "labeler.json").read_text())
     assert facts["models"]["labeler"]["sha256"] == manifest["sha256"]
     assert Image.open(preview).size[0] > 2000
+
+
+@pytest.mark.parametrize("name", ["hair.abc", "out.abc", "head.obj"])
+def test_a_report_replaces_no_groom_and_no_head(files: tuple[Path, Path], name: str) -> None:
+    hair, head = files
+    done = run(hair, "--head", head, "--head-unit", "m", "--report", hair.with_name(name))
+    assert done.exit_code == 2
+    assert "name another file" in done.stderr
+    assert not hair.with_name("out.abc").exists()
 
 
 @pytest.mark.parametrize(

@@ -40,7 +40,7 @@ class FigureName(click.ParamType):
         if value not in FIGURES:
             near = get_close_matches(value, FIGURES, n=1)
             hint = f"; did you mean {near[0]}?" if near else ""
-            self.fail(f"there is no figure {value!r}{hint} They are: {', '.join(FIGURES)}", param, ctx)
+            self.fail(f"there is no figure {value!r}{hint}. They are: {', '.join(FIGURES)}", param, ctx)
         return value
 
 

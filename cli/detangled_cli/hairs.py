@@ -125,9 +125,9 @@ def command(
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
+    set_threads(threads)
     mesh = head_of(groom, head_source, head_unit, head_group)
     announce_first_run("hair_laying.laid")
-    set_threads(threads)
     with progress_bar("hairs", count) as bar:
         result = render_hairs(groom, options, mesh, bar.update)
     for sentence in [*result.notes, *result.lost]:

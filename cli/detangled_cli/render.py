@@ -166,8 +166,8 @@ def command(
         grooms.append(read(source, unit=unit))
         for sentence in grooms[-1].notes:
             warn(f"{source}: {sentence}")
-    mesh = head_of(grooms[0], head_source, head_unit, head_group)
     set_threads(threads)
+    mesh = head_of(grooms[0], head_source, head_unit, head_group)
     style = picture.Style(zoom=zoom, quality=quality, samples=samples)
     style = _coloured(style, grooms, colour, colour_by)
     announce_first_run("rasteriser.")

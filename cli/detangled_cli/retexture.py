@@ -111,10 +111,11 @@ def command(
     porosity: float | None,
     **wanted: Any,
 ) -> None:
-    """Give a groom another texture, on its own style: one new strand for each of its strands.
+    """Give a groom another texture, on its own style: one new strand for each of its style guides.
 
     The texture is learned from target strands, or told by a hair type or by numbers; the groom keeps its style, its
-    strands' number, order, roots and attributes. A groom that moves keeps its frames, and its curls their places.
+    strands' order, roots and attributes, and their number unless --head or --density says otherwise. A groom that moves
+    keeps its frames, and its curls their places.
 
     \b
     Example:
@@ -133,11 +134,14 @@ def command(
     from detangled.retexturing import Options, retexture
     from detangled.view.picture import check_target
 
+    set_threads(threads)
     stages = Stages()
     check_writable(target)
     for path, check in ((preview, check_target), (report_target, check_folder)):
         if path is not None:
             check(path)
+            if path.resolve() in {other.resolve() for other in (source, target, head_source) if other is not None}:
+                raise click.UsageError(f"{path} is a groom or a head already: name another file")
     fibre = fibre_attributes(thickness, porosity)
     with stages.stage("read"):
         frames = read_frames(source, unit=unit)
@@ -147,7 +151,6 @@ def command(
         head = head_of(groom, head_source, head_unit, head_group)
     groom = replace(groom, attributes={**groom.attributes, **fibre})
     announce_first_run("placing.resample")
-    set_threads(threads)
     with stages.stage("texture"):
         texture = wanted_texture(**wanted, seed=seed)
     options = Options(

@@ -77,6 +77,7 @@ class Carrier:
     def _seated(self, out: NDArray[np.float64], now: NDArray[np.float64]) -> NDArray[np.float64]:
         """The carried points with roots where the old roots are, and strands without guides as they move themselves."""
         counts = self.styled.point_counts
+        out = np.where(np.repeat(self.drivers < 0, counts)[:, None], self.styled.points, out)
         if self.rest.strand_count != self.styled.strand_count:
             return out
         rooted = (counts > 0) & (self.rest.point_counts > 0) & (self.drivers >= 0)

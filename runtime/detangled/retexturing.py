@@ -58,7 +58,8 @@ class Options:
 class Result:
     """The new groom and what there is to say about it.
 
-    strands: how many were retextured. passed_through: indices (B,) of those that could not be, and are unchanged.
+    strands: how many of its strands were retextured. passed_through: its strands (B,) that could not be, and are
+    unchanged; where none was added or taken away, these are their numbers in the old groom too.
     lost: attributes that could not be carried over, one sentence each. warnings: other sentences. notes: what was done
     beside, one sentence each.
     penetration: hair in the head before and after; None where no head was given.
@@ -94,8 +95,6 @@ def retexture(
             "coordinate that is not finite, or is longer than 20 m (is the unit right?)"
         )
     keeper = None if options.head is None else Keeper(options.head, groom, texture, options.on_penetration)
-    if keeper is not None:
-        guides = keeper.turned(guides)
     notes: list[str] = []
     lost_here: list[str] = []
     warned: list[str] = []
@@ -103,6 +102,8 @@ def retexture(
         dense, said = guides_for(groom, guides, texture.radius, options.density, options.head, keeper, options.seed)
         groom, guides = dense.groom, dense.guides
         notes, lost_here, warned = [said], list(dense.lost), list(dense.notes)
+    elif keeper is not None:
+        guides = keeper.turned(guides)
     goals = guides.lengths
     if options.length is Length.STRAND:
         goals = arc_lengths(guides.groom.points, guides.groom.offsets)
@@ -157,11 +158,14 @@ def retexture(
     offsets = offsets_of([len(s) for s in strands])
     attributes, lost = resampled_attributes(groom, offsets)
     made_groom = replace(groom, points=np.concatenate(strands), offsets=offsets, attributes=attributes)
-    made_groom, penetration = (made_groom, None) if keeper is None else keeper.finished(made_groom)
+    stay, penetration = (np.ones(groom.strand_count, dtype=np.bool_), None)
+    if keeper is not None:
+        stay, penetration = keeper.finished(made_groom)
+        made_groom = made_groom if stay.all() else made_groom.select(stay)
     return Result(
         groom=made_groom,
-        strands=len(guides.kept),
-        passed_through=passed_through,
+        strands=int(np.count_nonzero(stay[guides.kept])),
+        passed_through=np.searchsorted(np.flatnonzero(stay), passed_through[stay[passed_through]]),
         lost=[*lost_here, *lost],
         warnings=[*warned, *_warnings(per_turn, reached, options)],
         penetration=penetration,

@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from detangled.kernels import kernel
+from detangled.kernels import kernel, thread_count
 
 CANDIDATES = 5  # for each point that is wanted: the paper's choice
 CROWDING = 24  # nearest neighbours that count; at five candidates a point about 18 lie within twice the radius
@@ -33,7 +33,7 @@ def spread_out(
     if count == 0:
         return free[:0]
     tree = cKDTree(points)
-    apart, around = tree.query(points, k=min(CROWDING + 1, len(points)), workers=-1)
+    apart, around = tree.query(points, k=min(CROWDING + 1, len(points)), workers=thread_count())
     share = apart / np.maximum(radii[:, None] + radii[around], 1e-300)
     one, place = np.nonzero((share < 1.0) & (around != np.arange(len(points))[:, None]))
     other, weight = around[one, place], (1.0 - share[one, place]) ** EXPONENT

@@ -31,7 +31,7 @@ def guides_for(
     """A groom with guides for a texture of this radius [cm], and a sentence that says how many.
 
     factor: of the density; None for the square of the ratio of the groom's radius to the texture's. head: in the
-    groom's frame. keeper: what keeps guides out of it; those between others that no small turn brings out are left out.
+    groom's frame. keeper: what turns guides out of it; those between others that no small turn brings out are left out.
     Raises DetangledError for a factor that is none.
     """
     scalp = scalp_of(guides.groom.points[guides.groom.offsets[:-1]])
@@ -41,6 +41,9 @@ def guides_for(
         change = density_change(guides, radius, scalp)
         factor, notes = change.factor, change.notes
         reason = f"radius {change.input_radius:.2g} cm to {change.target_radius:.2g} cm asks for {factor:.2f} times"
+    # A turned guide is no longer its strand's own: radii are told before.
+    if keeper is not None:
+        guides = keeper.turned(guides)
     dense = resampled(groom, guides, factor, head, seed, scalp)
     dropped = 0
     if keeper is not None:

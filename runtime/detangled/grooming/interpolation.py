@@ -199,7 +199,9 @@ def mixed_attributes(
             kept[name] = Attribute(total.astype(values.dtype), Scope.POINT)
         elif name in IDS and values.ndim == 1 and values.dtype.kind in "iu":
             first = int(values.max(initial=-1)) + 1
-            kept[name] = Attribute(np.arange(first, first + len(parents)).astype(values.dtype), Scope.STRAND)
+            fresh = np.arange(first, first + len(parents))
+            fits = first + len(parents) - 1 <= np.iinfo(values.dtype).max
+            kept[name] = Attribute(fresh.astype(values.dtype if fits else np.int32), Scope.STRAND)
         elif fraction:
             mixed = sum(values[parents[:, k]] * _column(weights[:, k], values) for k in range(parents.shape[1]))
             if "uv" in name.lower():

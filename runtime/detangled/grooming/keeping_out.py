@@ -9,7 +9,7 @@ from numpy.typing import NDArray
 
 from detangled.base_texture import Texture
 from detangled.groom import Groom
-from detangled.grooming.guides import StyleGuides
+from detangled.grooming.guides import StyleGuides, usable_strands
 from detangled.grooming.head_distance import HeadDistance, head_distance
 from detangled.grooming.interpenetration import Inside, OnPenetration, entering, inside, turned_out
 from detangled.grooming.lifting import Room
@@ -105,16 +105,18 @@ class Keeper:
         """Which guides (S,) enter the head more deeply than strands on them are lifted."""
         return entering(guides.points, guides.offsets, self.distance, LIFTED)
 
-    def finished(self, groom: Groom) -> tuple[Groom, Penetration]:
-        """The new groom, without what still enters where that is to go, and what there is to say of it."""
+    def finished(self, groom: Groom) -> tuple[NDArray[np.bool_], Penetration]:
+        """Which strands (S,) of the new groom stay, and what there is to say of those."""
         after = inside(groom.points, groom.offsets, self.distance)
         stay = np.ones(groom.strand_count, dtype=np.bool_)
         if self._wish is OnPenetration.DELETE:
-            stay = (after.points == 0) & ~entering(groom.points, groom.offsets, self.distance, SPARE)
-            groom = groom.select(stay)
+            usable = usable_strands(groom)  # others may be of any size
+            strands = groom.select(usable)
+            stay = after.points == 0
+            stay[usable] &= ~entering(strands.points, strands.offsets, self.distance, SPARE)
             after = Inside(*(values[stay] for values in after))
         before = self._before
-        return groom, Penetration(
+        return stay, Penetration(
             before=int(before.points.sum()),
             of_before=int(before.counted.sum()),
             deepest_before=_deepest(before),

@@ -14,7 +14,7 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.spatial import cKDTree
 
-from detangled.kernels import kernel, parallel_kernel, prange
+from detangled.kernels import kernel, parallel_kernel, prange, thread_count
 
 NEIGHBOURS = 24  # of a root, among which its triangles are looked for; a Delaunay star has six, in the mean
 NEIGHBOURS_FOR_NORMAL = 12
@@ -90,10 +90,10 @@ def scalp_of(roots: NDArray[np.float64]) -> Scalp:
     if len(distinct) < 2:
         return none
     tree = cKDTree(distinct)
-    distances, around = tree.query(distinct, k=min(NEIGHBOURS + 1, len(distinct)), workers=-1)
+    distances, around = tree.query(distinct, k=min(NEIGHBOURS + 1, len(distinct)), workers=thread_count())
     spacing = distances[:, 1 : TYPICAL_OF + 1].mean(axis=1)
     found = _normals(distinct[around[:, : NEIGHBOURS_FOR_NORMAL + 1]])
-    _, same = tree.query(roots, workers=-1)
+    _, same = tree.query(roots, workers=thread_count())
     normals, nearest = found[same], spacing[same]
     if len(distinct) < 3:
         return Scalp(roots, normals, none.triangles, none.areas, none.mass, nearest)

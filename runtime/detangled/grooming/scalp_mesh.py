@@ -13,7 +13,7 @@ from scipy.spatial import cKDTree
 
 from detangled.errors import DetangledError
 from detangled.head import Head
-from detangled.kernels import kernel, parallel_kernel, prange
+from detangled.kernels import kernel, parallel_kernel, prange, thread_count
 from detangled.units import CM_PER_UNIT
 
 FAR = 1.5  # [cm] from the roots to the head, in the median: then it is not theirs
@@ -53,7 +53,7 @@ def places_on(points: NDArray[np.float64], head: Head) -> Places:
     todo = np.arange(len(points))
     many = min(CLOSEST, len(centres))
     while len(todo):
-        distances, around = tree.query(points[todo], k=[*range(1, many + 1)], workers=-1)
+        distances, around = tree.query(points[todo], k=[*range(1, many + 1)], workers=thread_count())
         best, gap = _nearest(points[todo], corners, around.astype(np.int64))
         found[todo] = best
         # A face further down the list has its centre at least so far away, and reaches no further than the largest.

@@ -89,7 +89,8 @@ def split_groups(groom: Groom, most_strands: int, most_points: int) -> tuple[Gro
                 f"Unreal takes {most_strands:,} of {most_points:,}; it has guides, which cannot be split with it: "
                 "make several groups (groom_group_id)"
             )
-        said.append(f"group {group} was split into {part[-1] + 1}: Unreal takes {most_strands:,} strands a group")
+        most = f"{most_strands:,} strands and {most_points:,} points"
+        said.append(f"group {group} was split into {part[-1] + 1}: Unreal takes {most} a group")
         beyond = members[part > 0]
         new[beyond] = following + part[part > 0] - 1
         new_labels[beyond] = [f"{labels[i]}_{number + 1}" for i, number in zip(beyond, part[part > 0], strict=True)]

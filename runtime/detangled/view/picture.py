@@ -12,7 +12,7 @@ from numpy.typing import NDArray
 from PIL import Image
 
 from detangled.errors import DetangledError, WriteError
-from detangled.formats import replacing
+from detangled.formats import check_folder, replacing
 from detangled.groom import Groom
 from detangled.head import Head
 from detangled.view.camera import Camera, upright, view_turn
@@ -146,8 +146,7 @@ def check_target(path: str | os.PathLike[str]) -> None:
         moving = path.suffix.lower() in (".gif", ".webp", ".apng")
         hint = "; what moves is drawn with --turntable" if moving else ""
         raise WriteError(f"{path}: a picture's name must end in {' or '.join(SUFFIXES)}{hint}")
-    if not path.parent.is_dir():
-        raise WriteError(f"{path}: the folder {path.parent} does not exist; make it first")
+    check_folder(path)
 
 
 def _check(grooms: Sequence[Groom], captions: Sequence[str]) -> None:

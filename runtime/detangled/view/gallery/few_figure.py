@@ -81,8 +81,8 @@ FIGURE = Figure(
     caption="New strands (red) from two alone (green), by either engine. By patches, features of the two, such as "
     "breaks of the coil, sections that jut out and hooks, come back in other places and other sizes.",
     paper="a diverse set from two input strands",
-    short="Patches does what the paper's figure shows. The network, when this was last looked at, mostly repeated one "
-    "of the two from root to tip. The two are strands simulated by this program, not an "
+    short="Patches does what the paper's figure shows. The network tends to repeat one of the two from "
+    "root to tip. The two are strands simulated by this program, not an "
     "artist's.",
     steps=1 + 2 + STEPS_TRAINING + 1,
     draw=draw,
