@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from detangled.axes import AXES, turned
+from detangled.axes import AXES, MEASURED, role_of, turned
 from detangled.errors import DetangledError, ReadError, WriteError
 from detangled.groom import Attribute, Groom
 from detangled.units import cm_per_unit, guess_unit
@@ -22,8 +22,6 @@ from detangled.units import cm_per_unit, guess_unit
 # file says its unit. A writer gets lengths as they are to stand in the file, and says what it could not keep.
 Reader = Callable[[Path], Groom]
 Writer = Callable[[Groom, Path], list[str]]
-
-LENGTH_ATTRIBUTES = ("width", "groom_width", "velocities")
 
 _MODULES = {
     ".abc": "detangled.formats.abc",
@@ -223,9 +221,7 @@ def _has_size(points: np.ndarray) -> bool:
 def _scaled(groom: Groom, scale: Callable[[np.ndarray], np.ndarray]) -> Groom:
     # In float64 a product and a quotient by the same unit give float32 values back to the bit.
     attributes = {
-        name: Attribute(scale(a.values.astype(np.float64)), a.scope)
-        if name in LENGTH_ATTRIBUTES and a.values.dtype.kind in "fiu"
-        else a
+        name: Attribute(scale(a.values.astype(np.float64)), a.scope) if role_of(name, a) in MEASURED else a
         for name, a in groom.attributes.items()
     }
     return replace(groom, points=scale(groom.points), attributes=attributes)
