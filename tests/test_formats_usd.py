@@ -122,9 +122,9 @@ def test_scopes_are_interpolations(tmp_path: Path, scope: Scope, interpolation: 
 def test_names_that_usd_cannot_take_come_back(tmp_path: Path) -> None:
     names = ("UV Map", ".select", "größe", "1st", "a:b c", "x.y", "x y", "indices")
     attributes = {name: Attribute(np.array([float(i)]), Scope.GROOM) for i, name in enumerate(names)}
-    owner = Attribute(np.array([0, 1, 2], dtype=np.int32), Scope.STRAND)
-    objects = ("left/side", "left side", "")
-    groom = Groom.from_strands([np.eye(3)] * 3, attributes={**attributes, "object": owner}, objects=objects)
+    objects = ("left/side", "left side", "", "eve:hair", "eve_hair")
+    owner = Attribute(np.arange(len(objects), dtype=np.int32), Scope.STRAND)
+    groom = Groom.from_strands([np.eye(3)] * len(objects), attributes={**attributes, "object": owner}, objects=objects)
     assert formats.write(groom, tmp_path / "a.usda") == []
     back = formats.read(tmp_path / "a.usda")
     assert back.objects == objects
