@@ -447,10 +447,10 @@ def test_a_failed_export_is_a_write_error(tmp_path: Path, monkeypatch: pytest.Mo
     class Full:
         @staticmethod
         def CreateAnonymous(tag: str) -> Any:  # noqa: N802
-            raise RuntimeError("disk full")
+            raise RuntimeError("\n\tError in 'Save' at line 7 in file a.cpp : 'disk full'\n\tno more")
 
     monkeypatch.setattr(usd_write.Sdf, "Layer", Full)
-    with pytest.raises(WriteError, match="disk full"):
+    with pytest.raises(WriteError) as caught:
         formats.write(Groom.from_strands([np.eye(3)]), tmp_path / "a.usdc")
     assert list(tmp_path.iterdir()) == []
 
@@ -459,3 +459,4 @@ def test_blenders_files_are_read_as_they_stand(grooms: Callable[[str], Path]) ->
     groom = formats.read(grooms("eve.usdc"))
     assert groom.notes == ("'eve' are Catmull-Rom curves: read by the points they run through",)
     np.testing.assert_allclose(groom.attributes["width"].values, 0.008, rtol=1e-5)
+    assert str(caught.value) == f"{tmp_path / 'a.usdc'}: USD could not write it: 'disk full' no more"

@@ -159,7 +159,8 @@ def _target_of(path: Path) -> Path:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a new file beside ``path`` that takes its place at the end, or vanishes where anything goes wrong.
 
-    Raises WriteError where the folder is missing or cannot be written to.
+    Raises WriteError where the folder is missing or cannot be written to. A WriteError from within that speaks of the
+    new file speaks of ``path`` instead.
     """
     target = _target_of(path)
     beside = target.parent / f".{target.stem}.{secrets.token_hex(4)}{target.suffix}"
@@ -172,6 +173,11 @@ def replacing(path: Path) -> Iterator[Path]:
             os.replace(beside, target)
         except OSError as error:
             raise WriteError(f"{path}: cannot be written: {error.strerror or error}") from error
+        except WriteError as error:
+            said = str(error).replace(str(beside), str(path)).replace(beside.name, path.name)
+            if said == str(error):
+                raise
+            raise WriteError(said) from error
     except BaseException:
         # Interrupts too: nothing half written stays behind.
         beside.unlink(missing_ok=True)

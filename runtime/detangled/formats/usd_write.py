@@ -11,7 +11,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 from detangled.errors import WriteError
 from detangled.formats import objects
 from detangled.formats.blocks import as_float32
-from detangled.formats.usd_values import BINDING_ERRORS, INTERPOLATIONS, bare, complaints, stored
+from detangled.formats.usd_values import BINDING_ERRORS, INTERPOLATIONS, bare, complaints, one_line, stored
 from detangled.groom import Attribute, Groom, Scope
 
 ROOT = "groom"
@@ -34,9 +34,9 @@ def write(groom: Groom, path: Path) -> list[str]:
             _fill(Usd.Stage.Open(layer), groom, lost)
             whole = layer.Export(str(path))
     except BINDING_ERRORS as error:
-        raise WriteError(f"{path}: USD could not write it: {error}") from error
+        raise WriteError(f"{path}: USD could not write it: {one_line(str(error))}") from error
     if not whole or path.stat().st_size == 0:
-        raise WriteError(f"{path}: USD could not write it{': ' if said else ''}{'; '.join(said)}")
+        raise WriteError(f"{path}: USD could not write it{': ' if said else ''}{one_line('; '.join(said))}")
     # One sentence about an attribute, however many objects have it.
     return list(dict.fromkeys(lost))
 
