@@ -283,6 +283,33 @@ def test_catmull_rom_curves_are_their_points(tmp_path: Path) -> None:
     assert free.point_counts.tolist() == [2, 3]
 
 
+@pytest.mark.parametrize("counts", [[4, 3, 2], [5, 1, 3]])
+def test_values_that_do_not_fit_short_catmull_rom_curves_are_told_of(tmp_path: Path, counts: list[int]) -> None:
+    stage = stage_at(tmp_path / "a.usda")
+    curves = curves_in(stage, "/hair", np.eye(3).repeat(3, axis=0), counts, type=T.cubic, basis=T.catmullRom)
+    ends = sum(max(count - 2, 2) for count in counts)
+    for name in ("age", "wet"):
+        primvar = UsdGeom.PrimvarsAPI(curves).CreatePrimvar(name, Sdf.ValueTypeNames.FloatArray, T.varying)
+        primvar.Set([1.0] * ends)
+    stage.Save()
+    groom = formats.read(tmp_path / "a.usda")
+    assert not groom.attributes
+    for name in ("age", "wet"):
+        said = f"attribute {name!r} of 'hair' was left out: its values do not fit curves of fewer than four points"
+        assert said in groom.notes
+
+
+def test_widths_at_the_ends_of_spans_grow_with_the_transform_above(tmp_path: Path) -> None:
+    stage = stage_at(tmp_path / "a.usda")
+    UsdGeom.Xform.Define(stage, "/big").AddScaleOp().Set(Gf.Vec3f(2, 2, 2))
+    curves = curves_in(stage, "/big/hair", np.eye(4)[:, :3], [4], type=T.cubic, basis=T.bezier)
+    curves.CreateWidthsAttr([1.0, 3.0])
+    curves.SetWidthsInterpolation(T.varying)
+    stage.Save()
+    widths = formats.read(tmp_path / "a.usda").attributes["width"].values
+    np.testing.assert_allclose(widths[[0, -1]], [2.0, 6.0], rtol=1e-6)
+
+
 def test_time_samples_references_and_instances(tmp_path: Path) -> None:
     folder = tmp_path / "größe und mehr"
     folder.mkdir()
@@ -452,6 +479,7 @@ def test_a_failed_export_is_a_write_error(tmp_path: Path, monkeypatch: pytest.Mo
     monkeypatch.setattr(usd_write.Sdf, "Layer", Full)
     with pytest.raises(WriteError) as caught:
         formats.write(Groom.from_strands([np.eye(3)]), tmp_path / "a.usdc")
+    assert str(caught.value) == f"{tmp_path / 'a.usdc'}: USD could not write it: 'disk full' no more"
     assert list(tmp_path.iterdir()) == []
 
 
@@ -459,4 +487,3 @@ def test_blenders_files_are_read_as_they_stand(grooms: Callable[[str], Path]) ->
     groom = formats.read(grooms("eve.usdc"))
     assert groom.notes == ("'eve' are Catmull-Rom curves: read by the points they run through",)
     np.testing.assert_allclose(groom.attributes["width"].values, 0.008, rtol=1e-5)
-    assert str(caught.value) == f"{tmp_path / 'a.usdc'}: USD could not write it: 'disk full' no more"

@@ -135,7 +135,8 @@ def _read_curves(path: Path, curves: Any, matrix: Array) -> Part:
     basis = UsdGeom.Tokens.linear if linear else curves.GetBasisAttr().Get()
     spans = counts - 1 if linear else _spans(counts, basis, wrap)
     found, varying = _attributes(curves, name, counts, spans + 1, notes)
-    points, found = to_world(points, found, matrix)
+    points, moved = to_world(points, {**found, **varying}, matrix)
+    found, varying = {key: moved[key] for key in found}, {key: moved[key] for key in varying}
     if not linear:
         counts, points, found, varying = _smooth(name, basis, wrap, counts, points, found, varying, notes)
     return Part(name, str(prim.GetPath()), points, counts, {**found, **varying}, notes)
@@ -241,9 +242,15 @@ def _smooth(
         inner[first[long]] = False
         inner[(first + counts - 1)[long]] = False
         within = {key: Attribute(a.values[inner], a.scope) for key, a in on_points.items()}
+        ends = _spans(counts, basis, wrap) + 1
         counts = np.where(long, counts - 2, counts)
-        fitting = {key: a for key, a in varying.items() if len(a.values) == int(counts.sum())}
-        return counts, points[inner], kept | within, fitting
+        if not np.array_equal(ends, counts):
+            notes += [
+                f"attribute {key!r} of {name!r} was left out: its values do not fit curves of fewer than four points"
+                for key in varying
+            ]
+            varying = {}
+        return counts, points[inner], kept | within, varying
     floats = {key: a for key, a in on_points.items() if a.values.dtype.kind == "f"}
     notes += [
         f"attribute {key!r} of {name!r} was left out: it has no values between control points"
