@@ -11,8 +11,9 @@ import pytest
 from click.testing import CliRunner
 
 from detangled import formats
-from detangled.axes import AXES, turn_between, turned
+from detangled.axes import AXES, ROLES, Role, turn_between, turned
 from detangled.errors import DetangledError, ReadError
+from detangled.formats.transforms import to_world
 from detangled.groom import Attribute, Groom, Scope
 from detangled_cli.main import detangled
 
@@ -69,6 +70,62 @@ def test_axes_that_are_none_are_refused(tmp_path: Path) -> None:
     formats.write(groom, tmp_path / "a.npz")
     with pytest.raises(ReadError, match="'Y' is no axis"):
         formats.read(tmp_path / "a.npz", up="Y")
+
+
+def in_space(rng: np.random.Generator) -> dict[str, Attribute]:
+    """An attribute of every name that says what it is in space, and some that only look like one."""
+    attributes = {
+        name: Attribute(rng.normal(size=7 if role is Role.LENGTH else (7, 3)), Scope.POINT)
+        for name, role in ROLES.items()
+    }
+    attributes["v"] = Attribute(rng.normal(size=7), Scope.POINT)
+    return {**attributes, "groom_color": Attribute(rng.random((7, 3)), Scope.POINT)}
+
+
+def test_the_unit_scales_lengths_motions_and_places_alone(tmp_path: Path) -> None:
+    rng = np.random.default_rng(5)
+    groom = Groom(rng.normal(size=(7, 3)), np.array([0, 4, 7]), attributes=in_space(rng), unit_cm=1.0)
+    formats.write(groom, tmp_path / "a.npz")
+    in_metres = formats.read(tmp_path / "a.npz", "m")
+    scaled = {name for name, role in ROLES.items() if role in (Role.LENGTH, Role.MOTION, Role.PLACE)} - {"v"}
+    assert {"width", "velocity", "rest", "Pref"} <= scaled
+    for name, attribute in groom.attributes.items():
+        factor = 100.0 if name in scaled else 1.0
+        np.testing.assert_array_equal(in_metres.attributes[name].values, attribute.values * factor, err_msg=name)
+    formats.write(in_metres, tmp_path / "b.npz")
+    back = formats.read(tmp_path / "b.npz", "cm")
+    for name, attribute in groom.attributes.items():
+        np.testing.assert_allclose(back.attributes[name].values, attribute.values, rtol=1e-15, err_msg=name)
+
+
+def test_a_transform_takes_places_with_the_points_and_lengths_with_its_scale() -> None:
+    rng = np.random.default_rng(6)
+    points, found = rng.normal(size=(7, 3)), in_space(rng)
+    found |= {name: Attribute(points, Scope.POINT) for name, role in ROLES.items() if role is Role.PLACE}
+    matrix = np.eye(4)
+    matrix[:3, :3] = 2.0 * turn_between("z", "y").T
+    matrix[3, :3] = [1.0, 2.0, 3.0]
+    moved, after = to_world(points, found, matrix)
+    np.testing.assert_allclose(moved, 2.0 * points @ turn_between("z", "y").T + [1.0, 2.0, 3.0])
+    expected = {
+        Role.LENGTH: lambda values: 2.0 * values,
+        Role.NORMAL: lambda values: values @ matrix[:3, :3] / 2.0,
+        Role.DIRECTION: lambda values: values @ matrix[:3, :3],
+        Role.MOTION: lambda values: values @ matrix[:3, :3],
+        Role.PLACE: lambda values: moved,
+    }
+    for name, role in ROLES.items():
+        if name != "v":
+            values = expected[role](found[name].values)
+            np.testing.assert_allclose(after[name].values, values, atol=1e-12, err_msg=name)
+    for name in ("v", "groom_color"):
+        np.testing.assert_array_equal(after[name].values, found[name].values)
+
+
+def test_whole_numbers_that_grow_become_fractions() -> None:
+    width = Attribute(np.array([1, 3]), Scope.STRAND)
+    _, after = to_world(np.zeros((4, 3)), {"width": width}, np.diag([1.5, 1.5, 1.5, 1.0]))
+    np.testing.assert_allclose(after["width"].values, [1.5, 4.5])
 
 
 @pytest.mark.parametrize("name", ["eve", "bob", "combover"])

@@ -307,6 +307,18 @@ def test_writing_over_a_file_keeps_its_mode_and_links(tmp_path):
     np.testing.assert_allclose(formats.read(path).points, groom.points + 1, rtol=1e-6)
 
 
+def test_a_writer_that_fails_names_the_file_asked_for(tmp_path, monkeypatch):
+    def fails(groom, beside):
+        raise WriteError(f"{beside}: full; {beside.name} is gone")
+
+    monkeypatch.setitem(formats._registered, ".npz", (None, fails))
+    monkeypatch.chdir(tmp_path)
+    for path in ("a.npz", str(tmp_path / "a.npz")):
+        with pytest.raises(WriteError) as caught:
+            formats.write(strands(np.random.default_rng(16)), path)
+        assert str(caught.value) == f"{path}: full; a.npz is gone"
+
+
 def test_registered_formats_are_used(tmp_path, monkeypatch):
     monkeypatch.setattr(formats, "_registered", dict(formats._registered))
     groom = strands(np.random.default_rng(14))

@@ -122,9 +122,9 @@ def test_scopes_are_interpolations(tmp_path: Path, scope: Scope, interpolation: 
 def test_names_that_usd_cannot_take_come_back(tmp_path: Path) -> None:
     names = ("UV Map", ".select", "größe", "1st", "a:b c", "x.y", "x y", "indices")
     attributes = {name: Attribute(np.array([float(i)]), Scope.GROOM) for i, name in enumerate(names)}
-    owner = Attribute(np.array([0, 1, 2], dtype=np.int32), Scope.STRAND)
-    objects = ("left/side", "left side", "")
-    groom = Groom.from_strands([np.eye(3)] * 3, attributes={**attributes, "object": owner}, objects=objects)
+    objects = ("left/side", "left side", "", "eve:hair", "eve_hair")
+    owner = Attribute(np.arange(len(objects), dtype=np.int32), Scope.STRAND)
+    groom = Groom.from_strands([np.eye(3)] * len(objects), attributes={**attributes, "object": owner}, objects=objects)
     assert formats.write(groom, tmp_path / "a.usda") == []
     back = formats.read(tmp_path / "a.usda")
     assert back.objects == objects
@@ -281,6 +281,33 @@ def test_catmull_rom_curves_are_their_points(tmp_path: Path) -> None:
     free = smooth(tmp_path / "b.usda", points, [4, 5], T.catmullRom, T.nonperiodic)
     np.testing.assert_array_equal(free.points, points[[1, 2, 5, 6, 7]])
     assert free.point_counts.tolist() == [2, 3]
+
+
+@pytest.mark.parametrize("counts", [[4, 3, 2], [5, 1, 3]])
+def test_values_that_do_not_fit_short_catmull_rom_curves_are_told_of(tmp_path: Path, counts: list[int]) -> None:
+    stage = stage_at(tmp_path / "a.usda")
+    curves = curves_in(stage, "/hair", np.eye(3).repeat(3, axis=0), counts, type=T.cubic, basis=T.catmullRom)
+    ends = sum(max(count - 2, 2) for count in counts)
+    for name in ("age", "wet"):
+        primvar = UsdGeom.PrimvarsAPI(curves).CreatePrimvar(name, Sdf.ValueTypeNames.FloatArray, T.varying)
+        primvar.Set([1.0] * ends)
+    stage.Save()
+    groom = formats.read(tmp_path / "a.usda")
+    assert not groom.attributes
+    for name in ("age", "wet"):
+        said = f"attribute {name!r} of 'hair' was left out: its values do not fit curves of fewer than four points"
+        assert said in groom.notes
+
+
+def test_widths_at_the_ends_of_spans_grow_with_the_transform_above(tmp_path: Path) -> None:
+    stage = stage_at(tmp_path / "a.usda")
+    UsdGeom.Xform.Define(stage, "/big").AddScaleOp().Set(Gf.Vec3f(2, 2, 2))
+    curves = curves_in(stage, "/big/hair", np.eye(4)[:, :3], [4], type=T.cubic, basis=T.bezier)
+    curves.CreateWidthsAttr([1.0, 3.0])
+    curves.SetWidthsInterpolation(T.varying)
+    stage.Save()
+    widths = formats.read(tmp_path / "a.usda").attributes["width"].values
+    np.testing.assert_allclose(widths[[0, -1]], [2.0, 6.0], rtol=1e-6)
 
 
 def test_time_samples_references_and_instances(tmp_path: Path) -> None:
@@ -447,11 +474,12 @@ def test_a_failed_export_is_a_write_error(tmp_path: Path, monkeypatch: pytest.Mo
     class Full:
         @staticmethod
         def CreateAnonymous(tag: str) -> Any:  # noqa: N802
-            raise RuntimeError("disk full")
+            raise RuntimeError("\n\tError in 'Save' at line 7 in file a.cpp : 'disk full'\n\tno more")
 
     monkeypatch.setattr(usd_write.Sdf, "Layer", Full)
-    with pytest.raises(WriteError, match="disk full"):
+    with pytest.raises(WriteError) as caught:
         formats.write(Groom.from_strands([np.eye(3)]), tmp_path / "a.usdc")
+    assert str(caught.value) == f"{tmp_path / 'a.usdc'}: USD could not write it: 'disk full' no more"
     assert list(tmp_path.iterdir()) == []
 
 

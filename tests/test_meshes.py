@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import logging
 from collections.abc import Callable
 from pathlib import Path
 
@@ -83,6 +84,11 @@ def test_a_glb_is_in_metres_and_its_nodes_are_placed(tmp_path: Path) -> None:
     np.testing.assert_allclose([hat.vertices[:, 0].min(), hat.vertices[:, 0].max()], [40.0, 60.0], atol=1e-4)
     with pytest.raises(ReadError, match=r"no mesh wig: it has .*hat"):
         read_head(tmp_path / "two.glb", group="wig")
+    assert len(read_head(tmp_path / "two.glb", group="hat, head").faces) == 24
+    with pytest.raises(ReadError, match=r"no mesh ears, wig: it has .*hat"):
+        read_head(tmp_path / "two.glb", group="hat,wig,ears")
+    with pytest.raises(ReadError, match=r"no mesh ' ,': it has .*hat"):
+        read_head(tmp_path / "two.glb", group=" ,")
 
 
 def test_an_alembic_mesh_below_a_transform(tmp_path: Path) -> None:
@@ -126,6 +132,24 @@ def test_groups_are_chosen(box: Path) -> None:
     assert len(read_head(box, unit="cm", group="body, joint").faces) == 24
     with pytest.raises(ReadError, match="no group ears: it has body, helper-hat, joint"):
         read_head(box, group="ears")
+    box.write_text("\n".join(f"  {line}" for line in text.splitlines()))
+    assert read_head(box, unit="cm").vertices[:, 0].max() == 20.0
+
+
+@pytest.mark.parametrize("content", [obj_text(BOX_POINTS, BOX_QUADS), "v 0 0 0\nf 1 2 3\n"])
+def test_trimesh_tells_its_log_again_after_a_head_is_read(box: Path, content: str) -> None:
+    box.write_text(content)
+    log = logging.getLogger("trimesh")
+    before = log.level
+    log.setLevel(logging.INFO)
+    try:
+        read_head(box)
+    except ReadError:
+        assert len(content) < 20
+    finally:
+        after = log.level
+        log.setLevel(before)
+    assert after == logging.INFO
 
 
 def test_tiles_beyond_the_first_are_kept(box: Path) -> None:

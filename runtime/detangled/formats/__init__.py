@@ -13,7 +13,7 @@ from pathlib import Path
 
 import numpy as np
 
-from detangled.axes import AXES, turned
+from detangled.axes import AXES, MEASURED, role_of, turned
 from detangled.errors import DetangledError, ReadError, WriteError
 from detangled.groom import Attribute, Groom
 from detangled.units import cm_per_unit, guess_unit
@@ -22,8 +22,6 @@ from detangled.units import cm_per_unit, guess_unit
 # file says its unit. A writer gets lengths as they are to stand in the file, and says what it could not keep.
 Reader = Callable[[Path], Groom]
 Writer = Callable[[Groom, Path], list[str]]
-
-LENGTH_ATTRIBUTES = ("width", "groom_width", "velocities")
 
 _MODULES = {
     ".abc": "detangled.formats.abc",
@@ -161,7 +159,8 @@ def _target_of(path: Path) -> Path:
 def replacing(path: Path) -> Iterator[Path]:
     """Give a new file beside ``path`` that takes its place at the end, or vanishes where anything goes wrong.
 
-    Raises WriteError where the folder is missing or cannot be written to.
+    Raises WriteError where the folder is missing or cannot be written to. A WriteError from within that speaks of the
+    new file speaks of ``path`` instead.
     """
     target = _target_of(path)
     beside = target.parent / f".{target.stem}.{secrets.token_hex(4)}{target.suffix}"
@@ -174,6 +173,11 @@ def replacing(path: Path) -> Iterator[Path]:
             os.replace(beside, target)
         except OSError as error:
             raise WriteError(f"{path}: cannot be written: {error.strerror or error}") from error
+        except WriteError as error:
+            said = str(error).replace(str(beside), str(path)).replace(beside.name, path.name)
+            if said == str(error):
+                raise
+            raise WriteError(said) from error
     except BaseException:
         # Interrupts too: nothing half written stays behind.
         beside.unlink(missing_ok=True)
@@ -223,9 +227,7 @@ def _has_size(points: np.ndarray) -> bool:
 def _scaled(groom: Groom, scale: Callable[[np.ndarray], np.ndarray]) -> Groom:
     # In float64 a product and a quotient by the same unit give float32 values back to the bit.
     attributes = {
-        name: Attribute(scale(a.values.astype(np.float64)), a.scope)
-        if name in LENGTH_ATTRIBUTES and a.values.dtype.kind in "fiu"
-        else a
+        name: Attribute(scale(a.values.astype(np.float64)), a.scope) if role_of(name, a) in MEASURED else a
         for name, a in groom.attributes.items()
     }
     return replace(groom, points=scale(groom.points), attributes=attributes)

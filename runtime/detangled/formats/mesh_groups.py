@@ -29,8 +29,8 @@ def faces_of_group(text: bytes, group: str | None, path: str) -> tuple[bytes, st
     faces: list[tuple[str, ...]] = []
     found: dict[str, None] = {}
     names: tuple[str, ...] = ()
-    for line in lines:
-        word = line.split(None, 1)[0] if line.strip() else b""
+    for line in map(bytes.lstrip, lines):
+        word = line.split(None, 1)[0] if line else b""
         if word in _NAMING:
             within[word] = tuple(name.decode("utf-8", "replace") for name in line.split()[1:])
             names = tuple(name for several in within.values() for name in several)
@@ -46,7 +46,7 @@ def faces_of_group(text: bytes, group: str | None, path: str) -> tuple[bytes, st
     owner = iter(faces)
     kept = [line for line in kept if line[:1] != b"f" or not chosen.isdisjoint(next(owner))]
     others = [name for name in found if name not in chosen]
-    said = f"took the faces of {_few(sorted(chosen))}" + (f", not of {_few(others)}" if others else "")
+    said = f"took the faces of {few(sorted(chosen))}" + (f", not of {few(others)}" if others else "")
     return b"\n".join(kept) + b"\n", said if group is None and others else ""
 
 
@@ -55,7 +55,7 @@ def _chosen(found: list[str], group: str | None, path: str) -> set[str] | None:
         wanted = {name.strip() for name in group.split(",") if name.strip()}
         missing = sorted(wanted - set(found))
         if missing or not wanted:
-            raise ReadError(f"{path}: has no group {_few(missing) or repr(group)}: it has {_few(found) or 'none'}")
+            raise ReadError(f"{path}: has no group {few(missing) or repr(group)}: it has {few(found) or 'none'}")
         return wanted
     whole = {name for name in found if name.lower() == _WHOLE}
     return whole or {name for name in found if _SKIN & _words(name)} or None
@@ -66,6 +66,7 @@ def _words(name: str) -> set[str]:
     return {word.lower() for word in re.findall(r"[A-Z]?[a-z]+|[A-Z]+(?![a-z])", name)}
 
 
-def _few(names: list[str]) -> str:
+def few(names: list[str]) -> str:
+    """Names in a sentence, the first of them where there are many."""
     more = f" and {len(names) - LISTED} more" if len(names) > LISTED else ""
     return ", ".join(names[:LISTED]) + more

@@ -7,6 +7,8 @@ from __future__ import annotations
 
 import io
 import logging
+from collections.abc import Iterator
+from contextlib import contextmanager
 from pathlib import Path
 from typing import Any, NamedTuple
 
@@ -14,7 +16,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.errors import ReadError
-from detangled.formats.mesh_groups import faces_of_group
+from detangled.formats.mesh_groups import faces_of_group, few
 from detangled.geometry.orientation import orientation
 from detangled.head import Head
 from detangled.units import cm_per_unit
@@ -100,11 +102,22 @@ def _parts(path: Path, suffix: str, group: str | None) -> tuple[list[_Part], lis
     return _named(_by_trimesh(path, suffix, content), group, path), []
 
 
+@contextmanager
+def _hushed() -> Iterator[None]:
+    """Without what trimesh tells its own log of what it skips: what counts is told here."""
+    log = logging.getLogger("trimesh")
+    level = log.level
+    log.setLevel(logging.CRITICAL)
+    try:
+        yield
+    finally:
+        log.setLevel(level)
+
+
+@_hushed()
 def _by_trimesh(path: Path, suffix: str, content: bytes) -> list[_Part]:
     import trimesh
 
-    # It tells its own log of what it skips: what counts is told here.
-    logging.getLogger("trimesh").setLevel(logging.CRITICAL)
     try:
         resolver = trimesh.resolvers.FilePathResolver(str(path)) if suffix == ".gltf" else None
         scene: Any = trimesh.load(
@@ -151,15 +164,16 @@ def _fanned(
 
 
 def _named(parts: list[_Part], group: str | None, path: Path) -> list[_Part]:
-    """The meshes with one of these names in theirs."""
+    """The meshes with one of these names in theirs. Raises ReadError where a name is in none, with those there are."""
     if group is None:
         return parts
-    wanted = {name.strip() for name in group.split(",")}
-    chosen = [part for part in parts if wanted & {part.name, *part.name.split()}]
-    if not chosen:
-        names = ", ".join(part.name for part in parts)
-        raise ReadError(f"{path}: has no mesh {group}: it has {names or 'none'}")
-    return chosen
+    wanted = {name.strip() for name in group.split(",") if name.strip()}
+    found = [{part.name, *part.name.split()} for part in parts]
+    missing = sorted(wanted.difference(*found))
+    if missing or not wanted:
+        names = few([part.name for part in parts])
+        raise ReadError(f"{path}: has no mesh {few(missing) or repr(group)}: it has {names or 'none'}")
+    return [part for part, own in zip(parts, found, strict=True) if wanted & own]
 
 
 def _merged(

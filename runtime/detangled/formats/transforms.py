@@ -1,22 +1,20 @@
-"""Transforms above curves in a scene, applied to their points and to the attributes that turn or grow with them."""
+"""Transforms above curves in a scene, applied to their points and to attributes that stand in space."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.axes import DIRECTIONS
+from detangled.axes import Role, role_of
 from detangled.groom import Attribute
-
-NORMALS = frozenset({"N", "normal", "normals", "surface_normal"})
 
 
 def to_world(
     points: NDArray[np.float64], found: dict[str, Attribute], matrix: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], dict[str, Attribute]]:
-    """Apply a matrix (4, 4) of row vectors to points (P, 3), and to the widths and directions among attributes.
+    """Apply a matrix (4, 4) of row vectors to points (P, 3), and to lengths, directions and places among attributes.
 
-    Widths grow by the cube root of the volume's growth; normals turn by the inverse transpose and keep their length.
+    Lengths grow by the cube root of the volume's growth; normals turn by the inverse transpose and keep their length.
     """
     if np.array_equal(matrix, np.eye(4)):
         return points, found
@@ -26,18 +24,20 @@ def to_world(
     with np.errstate(all="ignore"):
         points = points @ turn + matrix[3, :3]
         for name, a in found.items():
-            if a.values.dtype.kind != "f":
+            role = role_of(name, a)
+            if role is None or (role is Role.NORMAL and not scale > 0):
                 continue
             values = a.values.astype(np.float64)
-            if name == "width":
+            if role is Role.LENGTH:
                 values = values * scale
-            elif name in NORMALS and values.shape[1:] == (3,) and scale > 0:
+            elif role is Role.NORMAL:
                 turned = values @ np.linalg.inv(turn).T
                 length = np.linalg.norm(turned, axis=1, keepdims=True)
                 values = turned * np.where(length > 0, np.linalg.norm(values, axis=1, keepdims=True) / length, 1)
-            elif name in DIRECTIONS - NORMALS and values.shape[1:] == (3,):
-                values = values @ turn
+            elif role is Role.PLACE:
+                values = values @ turn + matrix[3, :3]
             else:
-                continue
-            found[name] = Attribute(values.astype(a.values.dtype), a.scope)
+                values = values @ turn
+            # Whole numbers that grow are fractions.
+            found[name] = Attribute(values.astype(a.values.dtype) if a.values.dtype.kind == "f" else values, a.scope)
     return points, found

@@ -8,7 +8,6 @@ is done to strands here draws a curve through their points again.
 
 from __future__ import annotations
 
-import re
 from dataclasses import replace
 from pathlib import Path
 from typing import Any
@@ -22,7 +21,7 @@ from detangled.formats import register, usd_check
 from detangled.formats.curve_bases import CUBIC_ORDER, SAMPLES_PER_SPAN, SmoothCurves
 from detangled.formats.merge import Part, merged
 from detangled.formats.transforms import to_world
-from detangled.formats.usd_values import BINDING_ERRORS, complaints, to_array
+from detangled.formats.usd_values import BINDING_ERRORS, complaints, one_line, to_array
 from detangled.formats.usd_write import CM_PER_METRE, NAME_KEY, write
 from detangled.groom import Attribute, Groom, Scope
 
@@ -40,8 +39,6 @@ _SCOPES = {
 _VARYING = (UsdGeom.Tokens.varying, UsdGeom.Tokens.faceVarying)
 # A length in the file is rounded where metres per unit are: 0.0254 m are 2.54 cm.
 DIGITS = 12
-_ORIGIN = re.compile(r"(Error|Warning|Runtime Error|Coding Error) in '[^']*' at line \d+ in file \S+ : ")
-LONGEST_SAID = 300
 # A film set holds thousands of other things.
 MOST_NAMED = 5
 
@@ -61,10 +58,10 @@ def read(path: Path) -> Groom:
             stage = _stage(path)
             groom = None if stage is None else _read_stage(path, stage)
     except BINDING_ERRORS as error:
-        raise ReadError(f"{path}: damaged, or not as USD lays it down: {_one_line(str(error))}") from error
+        raise ReadError(f"{path}: damaged, or not as USD lays it down: {one_line(str(error))}") from error
     if groom is None:
-        raise ReadError(f"{path}: damaged, or not as USD lays it down: {_one_line('; '.join(said)) or 'it is empty'}")
-    return replace(groom, notes=(*groom.notes, *(f"USD says: {_one_line(text)}" for text in dict.fromkeys(said))))
+        raise ReadError(f"{path}: damaged, or not as USD lays it down: {one_line('; '.join(said)) or 'it is empty'}")
+    return replace(groom, notes=(*groom.notes, *(f"USD says: {one_line(text)}" for text in dict.fromkeys(said))))
 
 
 def _stage(path: Path) -> Any:
@@ -138,7 +135,8 @@ def _read_curves(path: Path, curves: Any, matrix: Array) -> Part:
     basis = UsdGeom.Tokens.linear if linear else curves.GetBasisAttr().Get()
     spans = counts - 1 if linear else _spans(counts, basis, wrap)
     found, varying = _attributes(curves, name, counts, spans + 1, notes)
-    points, found = to_world(points, found, matrix)
+    points, moved = to_world(points, {**found, **varying}, matrix)
+    found, varying = {key: moved[key] for key in found}, {key: moved[key] for key in varying}
     if not linear:
         counts, points, found, varying = _smooth(name, basis, wrap, counts, points, found, varying, notes)
     return Part(name, str(prim.GetPath()), points, counts, {**found, **varying}, notes)
@@ -244,9 +242,15 @@ def _smooth(
         inner[first[long]] = False
         inner[(first + counts - 1)[long]] = False
         within = {key: Attribute(a.values[inner], a.scope) for key, a in on_points.items()}
+        ends = _spans(counts, basis, wrap) + 1
         counts = np.where(long, counts - 2, counts)
-        fitting = {key: a for key, a in varying.items() if len(a.values) == int(counts.sum())}
-        return counts, points[inner], kept | within, fitting
+        if not np.array_equal(ends, counts):
+            notes += [
+                f"attribute {key!r} of {name!r} was left out: its values do not fit curves of fewer than four points"
+                for key in varying
+            ]
+            varying = {}
+        return counts, points[inner], kept | within, varying
     floats = {key: a for key, a in on_points.items() if a.values.dtype.kind == "f"}
     notes += [
         f"attribute {key!r} of {name!r} was left out: it has no values between control points"
@@ -304,12 +308,6 @@ def _between_ends(
         mixed = np.where(weight == 0.0, values[low], (1.0 - weight) * values[low] + weight * values[high])
         spread[key] = Attribute(mixed.astype(values.dtype), Scope.POINT)
     return spread
-
-
-def _one_line(text: str) -> str:
-    """What USD says, without where in its own sources it says it."""
-    plain = " ".join(_ORIGIN.sub("", " ".join(text.split())).split())
-    return plain if len(plain) <= LONGEST_SAID else plain[:LONGEST_SAID] + " ..."
 
 
 register((".usd", ".usda", ".usdc"), read, write)

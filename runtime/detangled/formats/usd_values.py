@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import re
 from collections.abc import Iterator
 from contextlib import contextmanager
 from typing import Any
@@ -15,6 +16,8 @@ from detangled.groom import Scope
 # What the bindings raise, for damaged files and for values that they cannot turn.
 BINDING_ERRORS = (Tf.ErrorException, RuntimeError, TypeError, ValueError, OverflowError, MemoryError)
 
+_ORIGIN = re.compile(r"(Error|Warning|Runtime Error|Coding Error) in '[^']*' at line \d+ in file \S+ : ")
+LONGEST_SAID = 300
 _TEXTS = (str, Sdf.AssetPath)
 _QUATERNIONS = (Gf.Quath, Gf.Quatf, Gf.Quatd)
 _COLOUR_WORDS = ("color", "colour", "rgb", "Cd", "Cs")
@@ -40,6 +43,12 @@ def complaints() -> Iterator[list[str]]:
         yield said
     finally:
         said += [entry.commentary for entry in delegate.TakeUncoalescedDiagnostics()]
+
+
+def one_line(text: str) -> str:
+    """What USD says, without where in its own sources it says it."""
+    plain = " ".join(_ORIGIN.sub("", " ".join(text.split())).split())
+    return plain if len(plain) <= LONGEST_SAID else plain[:LONGEST_SAID] + " ..."
 
 
 def to_array(value: Any) -> NDArray[Any] | None:

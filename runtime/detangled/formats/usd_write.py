@@ -11,7 +11,7 @@ from pxr import Sdf, Tf, Usd, UsdGeom, Vt
 from detangled.errors import WriteError
 from detangled.formats import objects
 from detangled.formats.blocks import as_float32
-from detangled.formats.usd_values import BINDING_ERRORS, INTERPOLATIONS, bare, complaints, stored
+from detangled.formats.usd_values import BINDING_ERRORS, INTERPOLATIONS, bare, complaints, one_line, stored
 from detangled.groom import Attribute, Groom, Scope
 
 ROOT = "groom"
@@ -34,9 +34,9 @@ def write(groom: Groom, path: Path) -> list[str]:
             _fill(Usd.Stage.Open(layer), groom, lost)
             whole = layer.Export(str(path))
     except BINDING_ERRORS as error:
-        raise WriteError(f"{path}: USD could not write it: {error}") from error
+        raise WriteError(f"{path}: USD could not write it: {one_line(str(error))}") from error
     if not whole or path.stat().st_size == 0:
-        raise WriteError(f"{path}: USD could not write it{': ' if said else ''}{'; '.join(said)}")
+        raise WriteError(f"{path}: USD could not write it{': ' if said else ''}{one_line('; '.join(said))}")
     # One sentence about an attribute, however many objects have it.
     return list(dict.fromkeys(lost))
 
@@ -53,7 +53,7 @@ def _fill(stage: Any, groom: Groom, lost: list[str]) -> None:
     taken: set[str] = set()
     for index, name in enumerate(groom.objects):
         part = groom.select(np.flatnonzero(owner == index)) if len(groom.objects) > 1 else groom
-        valid = _valid(name, taken)
+        valid = _unique(Tf.MakeValidIdentifier(name), taken)
         curves = UsdGeom.BasisCurves.Define(stage, f"/{ROOT}/{valid}")
         if valid != name:
             curves.GetPrim().SetCustomDataByKey(NAME_KEY, name)
@@ -103,19 +103,24 @@ def _fill_primvar(primvars: Any, name: str, attribute: Attribute, taken: set[str
     if attribute.values.ndim > 2 and held[2] > 1:
         lost.append(f"attribute {name!r}: the shape {attribute.values.shape[1:]} of its values was laid flat")
     type_name, array, size = held
-    valid = _valid(name, taken)
+    valid = _unique(_primvar_name(name), taken)
     primvar = primvars.CreatePrimvar(valid, type_name, INTERPOLATIONS[attribute.scope], size if size > 1 else -1)
     primvar.Set(array)
     if valid != name:
         primvar.GetAttr().SetCustomDataByKey(NAME_KEY, name)
 
 
-def _valid(name: str, taken: set[str]) -> str:
-    """A name as USD takes it, and no other has."""
+def _primvar_name(name: str) -> str:
+    """A name as USD takes it for a primvar, which unlike a prim may stand in a namespace."""
     valid = ":".join(Tf.MakeValidIdentifier(part) for part in name.split(":"))
     # Primvars that end so hold indices of another.
     if valid == "indices" or valid.endswith(":indices"):
         valid += "_"
+    return valid
+
+
+def _unique(valid: str, taken: set[str]) -> str:
+    """The name, or with a number where another has it."""
     unique, number = valid, 1
     while unique in taken:
         number += 1
