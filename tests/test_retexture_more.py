@@ -206,3 +206,27 @@ def test_what_cannot_be_written_is_told_before_any_work(files: tuple[Path, Path]
     done = run(files[0], option, files[0].parent / name)
     assert done.exit_code == 5, done.stderr
     assert not files[0].with_name("out.abc").exists()
+
+
+@pytest.mark.parametrize(
+    ("given", "words"),
+    [
+        (("--on-penetration", "delete"), "--on-penetration goes with --head"),
+        (("--head-unit", "m"), "go with --head"),
+    ],
+)
+def test_what_goes_with_a_head_is_refused_without_one(
+    files: tuple[Path, Path], given: tuple[str, ...], words: str
+) -> None:
+    done = run(files[0], *given)
+    assert done.exit_code == 2
+    assert words in done.stderr
+
+
+def test_a_file_that_the_engine_does_not_import_is_refused_at_once(files: tuple[Path, Path]) -> None:
+    hair = files[0]
+    for verb in (["convert"], ["retexture", "--type", "4B"]):
+        given = [verb[0], hair, hair.with_name("o.obj"), *verb[1:], "--preset", "unity"]
+        done = CliRunner().invoke(detangled, [str(a) for a in given])
+        assert done.exit_code == 2
+        assert "Unity imports .abc, not" in done.stderr

@@ -18,7 +18,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
-from detangled_cli.presets import needs_kernels, preset_option, written
+from detangled_cli.presets import check_preset, needs_kernels, preset_option, written
 
 AXIS = click.Choice(["x", "y", "z"])
 
@@ -61,6 +61,7 @@ def command(
     if preset is not None and (out_unit is not None or up is not None):
         raise click.UsageError(f"--preset {preset} decides unit and up axis of OUT: leave out --out-unit and --up")
     check_writable(target)
+    check_preset(preset, target)
     frames = read_frames(source, unit=unit)
     if in_up is not None:
         frames = replace(frames, groom=replace(frames.groom, up=in_up))

@@ -19,7 +19,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
-from detangled_cli.heads import head_of, head_options
+from detangled_cli.heads import check_head_options, head_of, head_options
 
 if TYPE_CHECKING:
     from detangled.texture import Profile
@@ -105,10 +105,15 @@ def command(
     from detangled.formats import check_writable, read, write
     from detangled.grooming.render_hairs import HairOptions, render_hairs
     from detangled.kernels import set_threads
-    from detangled.texture import parse_length
+    from detangled.texture import check_thickness, parse_length
 
     began = time.perf_counter()
     check_writable(target)
+    check_head_options(head_source, head_unit, head_group)
+    if head_source is not None and target.resolve() == head_source.resolve():
+        raise click.UsageError(f"{target} is the head: name another file to write")
+    across = parse_length(width, "--width")
+    check_thickness(1e4 * across)
     options = HairOptions(
         count=count,
         wisp_radius=None if wisp_radius is None else parse_length(wisp_radius, "--wisp-radius"),
@@ -118,7 +123,7 @@ def command(
         flyaways=flyaways,
         variation=variation,
         points=points,
-        width=parse_length(width, "--width"),
+        width=across,
         seed=seed,
         with_guides=with_guides,
     )

@@ -30,6 +30,17 @@ def preset_option(required: bool = False) -> Callable[[Command], Command]:
     )
 
 
+def check_preset(preset: str | None, target: Path) -> None:
+    """Raise UsageError where an engine does not import files of this suffix."""
+    if preset is None:
+        return
+    from detangled.presets import ENGINES
+
+    engine = ENGINES[preset]
+    if target.suffix.lower() not in engine.suffixes:
+        raise click.UsageError(f"{engine.title} imports {', '.join(engine.suffixes)}, not {target}")
+
+
 def needs_kernels(groom: Groom, preset: str) -> bool:
     """Whether a preset will have strands to take points from."""
     from detangled.presets import ENGINES

@@ -19,8 +19,8 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
-from detangled_cli.heads import head_of, head_options
-from detangled_cli.presets import preset_option, with_texture, written
+from detangled_cli.heads import check_head_options, head_of, head_options
+from detangled_cli.presets import check_preset, preset_option, with_texture, written
 from detangled_cli.retexture_report import Stages, report, write_preview, write_report
 from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
 
@@ -67,9 +67,8 @@ def _density(context: click.Context, option: click.Parameter, value: str | None)
 @click.option(
     "--on-penetration",
     type=click.Choice(["rotate", "delete", "keep"]),
-    default="rotate",
-    show_default=True,
-    help="Hair in the head: rotate turns and lifts it out, delete also deletes what stays in, keep leaves it.",
+    help="Hair in the head: rotate turns and lifts it out, delete also deletes what stays in, keep leaves it. "
+    "[default: rotate]",
 )
 @click.option(
     "--density",
@@ -100,7 +99,7 @@ def command(
     head_source: Path | None,
     head_unit: str | None,
     head_group: str | None,
-    on_penetration: str,
+    on_penetration: str | None,
     density: str | float | None,
     preset: str | None,
     preview: Path | None,
@@ -137,6 +136,12 @@ def command(
     set_threads(threads)
     stages = Stages()
     check_writable(target)
+    check_preset(preset, target)
+    check_head_options(head_source, head_unit, head_group)
+    if head_source is None and on_penetration is not None:
+        raise click.UsageError("--on-penetration goes with --head")
+    if head_source is not None and target.resolve() == head_source.resolve():
+        raise click.UsageError(f"{target} is the head: name another file to write")
     for path, check in ((preview, check_target), (report_target, check_folder)):
         if path is not None:
             check(path)
@@ -154,7 +159,7 @@ def command(
     with stages.stage("texture"):
         texture = wanted_texture(**wanted, seed=seed)
     options = Options(
-        Length(length), seed, steps, max_points, head, OnPenetration(on_penetration), _factor(density, head)
+        Length(length), seed, steps, max_points, head, OnPenetration(on_penetration or "rotate"), _factor(density, head)
     )
     with progress_bar("strands", groom.strand_count) as bar, stages.stage("strands"):
         result = retexture(groom, texture, options, bar.update)

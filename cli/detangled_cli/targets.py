@@ -92,7 +92,7 @@ def wanted_texture(
             raise click.UsageError(f"--target tells the texture already: leave {' and '.join(given)} out, or --target")
         if method in ASKING or finite_differences:
             raise click.UsageError(f"--method {', '.join(ASKING)} and --finite-differences go with a type or numbers")
-        return fitted_texture(texture_source, target_unit, method, seed)
+        return fitted_texture(texture_source, target_unit, method, seed, unit_option="--target-unit")
     if not given:
         raise click.UsageError(f"which texture? Give --target, or one or more of {', '.join(numbers)}")
     method = method or ASKING[0]
@@ -131,9 +131,17 @@ def fibre_attributes(thickness: str | None, porosity: float | None) -> dict[str,
 
 
 def fitted_texture(
-    target: Path, unit: str | None, method: str | None, seed: int = 0, training_steps: int | None = None
+    target: Path,
+    unit: str | None,
+    method: str | None,
+    seed: int = 0,
+    training_steps: int | None = None,
+    unit_option: str = "--unit",
 ) -> FittedTexture:
-    """Load a .texture, or fit one to the strands of a groom file; say what it is like."""
+    """Load a .texture, or fit one to the strands of a groom file; say what it is like.
+
+    unit_option: the option that says the file's unit.
+    """
     from detangled.fitted import SUFFIX, load_texture
 
     if target.suffix == SUFFIX:
@@ -148,7 +156,7 @@ def fitted_texture(
 
         strands = read(target, unit=unit)
         for sentence in strands.notes:
-            warn(f"{target}: {sentence}")
+            warn(f"{target}: {sentence.replace('--unit', unit_option)}")
         unusable = strands.strand_count - int(usable_strands(strands).sum())
         if unusable:
             warn(f"{target}: {unusable} of {strands.strand_count} strands cannot be used and are left out")

@@ -31,7 +31,7 @@ def guides_for(
     """A groom with guides for a texture of this radius [cm], and a sentence that says how many.
 
     factor: of the density; None for the square of the ratio of the groom's radius to the texture's. head: in the
-    groom's frame. keeper: what turns guides out of it; those between others that no small turn brings out are left out.
+    groom's frame. keeper: what turns guides out of it; those between others that lie deep in it are left out.
     Raises DetangledError for a factor that is none.
     """
     scalp = scalp_of(guides.groom.points[guides.groom.offsets[:-1]])
@@ -58,12 +58,10 @@ def guides_for(
 
 
 def _kept_out(dense: Resampled, keeper: Keeper) -> tuple[Resampled, int]:
-    """Guides between others turned out of the head, and how many had to go since no small turn brings them out."""
-    new = np.flatnonzero(dense.original[dense.guides.kept] < 0)
-    turned = keeper.turned(dense.guides, new)
-    inside = keeper.deep(replace(turned.groom, points=turned.points, attributes={}))
-    inside[np.setdiff1d(np.arange(len(inside)), new)] = False
-    return _without(replace(dense, guides=turned), inside), int(np.count_nonzero(inside))
+    """Without the guides between others that would lie deep in the head, and how many these were."""
+    new = dense.original[dense.guides.kept] < 0
+    deep = new & keeper.deep(replace(dense.guides.groom, points=dense.guides.points, attributes={}))
+    return _without(dense, deep), int(np.count_nonzero(deep))
 
 
 def _without(dense: Resampled, dropped: NDArray[np.bool_]) -> Resampled:

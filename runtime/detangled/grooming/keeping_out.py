@@ -83,20 +83,15 @@ class Keeper:
         """What new strands need; None where they are to stay as they come."""
         return None if self._wish is OnPenetration.KEEP else self._room
 
-    def turned(self, guides: StyleGuides, chosen: NDArray[np.int64] | None = None) -> StyleGuides:
-        """Guides that enter the head deeply turned out of it, where that takes no more than a small turn.
-
-        chosen: those that may be turned; None for all.
-        """
+    def turned(self, guides: StyleGuides) -> StyleGuides:
+        """Guides that enter the head deeply turned out of it, where that takes no more than a small turn."""
         if self._wish is OnPenetration.KEEP:
             return guides
         strands = replace(guides.groom, points=guides.points, attributes={})
         deep = self.deep(strands)
-        if chosen is not None:
-            deep[np.setdiff1d(np.arange(strands.strand_count), chosen)] = False
         some = strands.select(deep)
         found = turned_out(some.points, some.offsets, self.distance, self._room.clearance)
-        self._turned += int(np.count_nonzero(found.angles))
+        self._turned = int(np.count_nonzero(found.angles))
         points = guides.points.copy()
         points[np.repeat(deep, strands.point_counts)] = found.points
         return replace(guides, points=points)
