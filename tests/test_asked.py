@@ -114,12 +114,14 @@ def test_a_texture_of_even_coils_winds_as_asked(radius: float, wavelength: float
     assert texture.arc_per_axis == pytest.approx(float(arc_of_a_turn(radius, wavelength)) / wavelength, rel=0.12)
 
 
+@pytest.mark.slow
 def test_hair_of_twice_the_size_is_the_same_but_for_its_size_and_twists() -> None:
     library = load_library()
     small, large = (asked_texture(of(size * 0.3, size * 1.0, 0.3 / size), library=library) for size in (1.0, 1.2))
     assert large.turn == pytest.approx(1.2 * small.turn, rel=0.1)
 
 
+@pytest.mark.slow
 def test_more_twists_are_asked_for_and_made() -> None:
     torsion = [np.abs(asked_texture(of(0.3, 0.9, twist)).signals[:, 1]) for twist in (0.0, 0.3, 0.7)]
     tails = [float(np.percentile(values, 95)) for values in torsion]

@@ -414,6 +414,7 @@ def test_strands_that_are_not_numbers_give_zeros_and_leave_the_others_alone() ->
     np.testing.assert_allclose(found[32:64], one_signal(good, 32), rtol=1e-3, atol=1e-3)
 
 
+@pytest.mark.slow
 def test_a_hundred_thousand_points_take_seconds() -> None:
     rng = np.random.default_rng(0)
     strand = helix(0.5, 1.0, 30, 100_000 / 30) + rng.normal(scale=1e-5, size=(100_001, 3))

@@ -77,6 +77,7 @@ def test_more_of_a_number_makes_more_of_it(name: str, wider: float) -> None:
     assert 1.0 + 0.5 * (wider - 1.0) < sizes[1] / sizes[0] < 1.5 * wider
 
 
+@pytest.mark.slow
 def test_more_twists_are_told_and_made() -> None:
     found = [
         float(np.median(label(generate(plain(CONDITIONED, asked_twist=twist), 16, 24.0)).twist))
@@ -102,6 +103,7 @@ def off(groom: Groom) -> float:
     return float(np.median(np.nan_to_num(away, nan=3.0)))
 
 
+@pytest.mark.slow
 def test_finite_differences_guide_to_the_same_strands() -> None:
     strands = [
         generate(plain(BOTH, finite_differences=finite), 3, 20.0, seed=4, steps=8).points for finite in (False, True)
@@ -191,6 +193,7 @@ def test_what_does_not_go_together_is_told_in_one_line(tmp_path: Path, given: tu
     assert not list(tmp_path.iterdir())
 
 
+@pytest.mark.slow
 def test_the_command_generates_by_the_network(tmp_path: Path) -> None:
     given = ["--type", "4A", "--method", "conditioned", "--count", "3", "--length", "8cm"]
     done = CliRunner().invoke(command, ["generate", str(tmp_path / "out.npz"), *given])
