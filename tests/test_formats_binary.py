@@ -409,3 +409,9 @@ def test_a_unit_may_be_so_many_of_one(tmp_path: Path, text: str, cm: float) -> N
     for wrong in ("", "0mm", "-1cm", "2.5", "1e999m", "mm2", ".m", "1..2mm"):
         with pytest.raises(ReadError, match="unknown unit"):
             formats.read(tmp_path / "a.data", wrong)
+
+
+def test_no_strands_with_attributes_are_written_as_ply(tmp_path: Path) -> None:
+    empty = Groom(np.zeros((0, 3)), np.zeros(1, dtype=np.int64), {"uv": Attribute(np.zeros((0, 2)), Scope.STRAND)})
+    formats.write(empty, tmp_path / "empty.ply")
+    assert (tmp_path / "empty.ply").stat().st_size > 0

@@ -104,7 +104,7 @@ def write(groom: Groom, path: Path) -> list[str]:
         if attribute.scope is Scope.GROOM:
             values = np.repeat(values, groom.strand_count, axis=0)
         shape = list(values.shape[1:])
-        flat = values.reshape(len(values), -1)
+        flat = values.reshape(len(values), int(np.prod(shape, dtype=np.int64)))
         fields = _fields(name, flat.shape[1], values.dtype, columns[scope])
         columns[scope] |= dict(zip(fields, flat.T, strict=True))
         about.setdefault(scope.value, {})[name] = {
