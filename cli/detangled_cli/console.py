@@ -143,6 +143,12 @@ def unit_option(command: Command) -> Command:
     )(command)
 
 
+def file_names(paths: list[Path]) -> list[str]:
+    """What to call some files: each one's name, and its folder too where names are equal."""
+    names = [path.name for path in paths]
+    return [path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}" for path in paths]
+
+
 def _set_quiet(ctx: click.Context, _: click.Parameter, value: bool) -> None:
     ctx.meta[_QUIET] = value
 

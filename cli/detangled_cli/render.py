@@ -14,6 +14,7 @@ import click
 from detangled.errors import DetangledError
 from detangled_cli.console import (
     announce_first_run,
+    file_names,
     note,
     progress_bar,
     quiet_option,
@@ -144,7 +145,7 @@ def command(
     if len(paths) < 2:
         raise click.UsageError("name a groom and the picture to write: detangled render IN OUT.png")
     *sources, target = paths
-    words = list(captions) or _captions(sources)
+    words = list(captions) or (file_names(sources) if len(sources) > 1 else [])
     if captions and len(captions) != len(sources):
         raise click.UsageError(f"{len(sources)} grooms need as many --caption, not {len(captions)}")
     if colour is not None and colour_by != "none":
@@ -188,16 +189,6 @@ def command(
     with progress_bar("frames", frames) as bar:
         written = animation.save_movie(_counted(chain([first], turn), bar.update), target, frames)
     _tell(first, str(target) if len(written) == 1 else f"{written[0]} to {written[-1].name}")
-
-
-def _captions(sources: list[Path]) -> list[str]:
-    """What to write under grooms: each file's name, and its folder where names are equal. Nothing for one."""
-    if len(sources) == 1:
-        return []
-    names = [source.name for source in sources]
-    return [
-        source.name if names.count(source.name) == 1 else f"{source.parent.name}/{source.name}" for source in sources
-    ]
 
 
 def _need_mitsuba() -> None:

@@ -9,6 +9,7 @@ import click
 
 from detangled_cli.console import (
     announce_first_run,
+    file_names,
     input_argument,
     note,
     progress_bar,
@@ -87,7 +88,7 @@ def command(
         for sentence in grooms[-1].notes:
             warn(f"{path}: {sentence}")
     mesh = head_of(grooms[0], head_source, head_unit, head_group)
-    shown = [_shown(groom, name, no_labels) for groom, name in zip(grooms, _names(sources), strict=True)]
+    shown = [_shown(groom, name, no_labels) for groom, name in zip(grooms, file_names(sources), strict=True)]
     made = page.page(shown, mesh, threads=threads)
     for sentence in made.notes:
         warn(sentence)
@@ -113,9 +114,3 @@ def _shown(groom: Groom, name: str, no_labels: bool) -> Shown:
         warn(f"{name}: none of its strands can be labelled: {why_unread(facts)}")
         return Shown(groom, name)
     return Shown(groom, name, labels, facts)
-
-
-def _names(sources: list[Path]) -> list[str]:
-    """What the page calls grooms: each file's name, and its folder where names are equal."""
-    names = [path.name for path in sources]
-    return [path.name if names.count(path.name) == 1 else f"{path.parent.name}/{path.name}" for path in sources]
