@@ -73,15 +73,25 @@ def errors(
 ) -> bool:
     """Errors by type, and over all with their bounds."""
     values, columns = make_variants(0, count, seed, options)
-    radius, wavelength, twist = network(values.astype(np.float64)).T
     wanted = columns["twists"] / (TWISTS_PER_CM * columns["length"])
-    off = np.abs(radius / columns["radius"] - 1), np.abs(wavelength / columns["wavelength"] - 1), np.abs(twist - wanted)
+
+    def errors_of(signals: NDArray[np.float32]) -> tuple[NDArray[np.float64], ...]:
+        radius, wavelength, twist = network(signals.astype(np.float64)).T
+        return (
+            np.abs(radius / columns["radius"] - 1),
+            np.abs(wavelength / columns["wavelength"] - 1),
+            np.abs(twist - wanted),
+        )
+
+    off = errors_of(np.concatenate([values, columns["world"]], axis=2))
+    laid = errors_of(values)
     print(f"\n{name}: errors of radius, wavelength (median, 90 %) and twist prevalence (mean)")
     clean = ~columns["read"]
-    rows = [("all", clean), *((k.name, clean & (columns["kind"] == i)) for i, k in enumerate(HAIR_TYPES))]
+    rows = [("all", off, clean), *((k.name, off, clean & (columns["kind"] == i)) for i, k in enumerate(HAIR_TYPES))]
+    rows += [("all, in canonical space", laid, clean), ("all, as read from a file", off, columns["read"])]
     ok = True
-    for title, chosen in [*rows, ("all, as read from a file", columns["read"])]:
-        found = [*(f(e[chosen]) for e in off[:2] for f in (np.median, ninetieth)), off[2][chosen].mean()]
+    for title, own, chosen in rows:
+        found = [*(f(e[chosen]) for e in own[:2] for f in (np.median, ninetieth)), own[2][chosen].mean()]
         texts = [f"{x:.1%}" for x in found[:4]] + [f"{found[4]:.3f}"]
         if title == "all":
             limits = (bounds[0], bounds[1], bounds[0], bounds[1], bounds[2])

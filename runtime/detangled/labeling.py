@@ -1,7 +1,8 @@
 """Texture parameters of strands: paper, section "Labeling Texture Parameters".
 
 Strands are straightened into canonical space, and kappa, tau and v of their lower sections are read by the exported
-labelers.
+labelers. Beyond the paper they also read kappa and tau of the strand as it lies in the world: where twists make the
+axis turn within a curl, straightening stretches that curl, and the strand itself tells better how wide it is.
 """
 
 from __future__ import annotations
@@ -28,6 +29,7 @@ from detangled.texture import HAIR_TYPES
 
 LOWER_PART = 2.0 / 3.0  # of a signal: the lower section, by which people name the hair
 CELLS = 256  # of the signals that are read
+WORLD = 2  # channels beyond those of canonical space: kappa and tau of the strand as it lies in the world
 CELLS_PER_TURN = 16.0  # at least: of a strand of many turns the lowest are read
 CHUNK = 256  # strands measured at once: some tens of megabytes, of noisy ones some hundreds
 MOST_CELLS = 8192  # of a whole strand
@@ -96,18 +98,24 @@ def label(groom: Groom, progress: Callable[[int], object] | None = None, model: 
 
 
 class LabelNetwork:
-    """Tells radius, wavelength [cm] and twist (T_f), (B, 3), of signals (B, CELLS, 3).
+    """Tells radius, wavelength [cm] and twist (T_f), (B, 3), of signals (B, CELLS, 3 or 5).
 
-    What is told of a signal depends neither on the others nor on the number of threads.
+    Signals are kappa, tau [1/cm] and v [cm per t] in canonical space, and kappa and tau in the world. Without the
+    latter a strand lies as it does in canonical space. What is told of a signal depends neither on the others nor on
+    the number of threads.
     """
 
     def __init__(self, model: ExportedModel, threads: int = 1) -> None:
         _check_cells(model)
         self._session = model.session(1)
+        self._channels = int(self._session.get_inputs()[0].shape[2])
         self._batch = model.batch
         self._threads = threads
 
     def __call__(self, values: NDArray[np.float64]) -> NDArray[np.float64]:
+        if values.shape[2] < self._channels:
+            values = np.concatenate([values, values[:, :, :WORLD]], axis=2)
+        values = values[:, :, : self._channels]
         firsts = range(0, len(values), self._batch)
         with ThreadPoolExecutor(self._threads) as pool:
             found = list(pool.map(lambda a: self._run(values[a : a + self._batch]), firsts))
@@ -121,8 +129,8 @@ class LabelNetwork:
 class LabelGradient:
     """Labels (B, 3) of signals (B, CELLS, 3), and the gradient (B, CELLS, 3) of their sum by weights (B, 3).
 
-    The gradient is by kappa, tau and v, so that whatever is made of labels can be moved downhill: its own derivatives
-    by the labels are the weights.
+    Strands lie as they do in canonical space. The gradient is by kappa, tau and v, so that whatever is made of labels
+    can be moved downhill: its own derivatives by the labels are the weights.
     """
 
     def __init__(self, model: ExportedModel, threads: int = 1) -> None:
@@ -165,7 +173,7 @@ def padded(values: NDArray[np.float64], size: int) -> NDArray[np.float32]:
 
 @dataclass(frozen=True)
 class LowerSignals:
-    """Signals of the lower sections of strands, (S, CELLS, 3), kappa, tau [1/cm] and v [cm per t]; NaN if not READ.
+    """Signals of the lower sections of strands, (S, CELLS, 5), as ``LabelNetwork`` reads them; NaN if not READ.
 
     reading: (S,) int8, a Reading. length: (S,) [cm] of arc of the whole strand. part: (S,), the section's share of it.
     """
@@ -183,11 +191,13 @@ def lower_signals(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> Lo
     coarse = points_per_turn(points, offsets) < FEWEST_POINTS_PER_TURN
     needed = np.ceil(POINTS_PER_TURN * length / turn).astype(np.int64) + 1
     fine = offsets_of(np.maximum(np.minimum(needed, MOST_POINTS), np.diff(offsets)))
-    canonical, curled = _straightened(resample(points, offsets, fine), fine)
+    world = resample(points, offsets, fine)
+    canonical, curled = _straightened(world, fine)
     turn = _turns(canonical, fine, length)
     grids = np.clip(np.ceil(CELLS_PER_TURN * length / turn).astype(np.int64), CELLS, MOST_CELLS)
     starts = offsets_of(grids)
-    values = signals(canonical, fine, starts)[starts[1:, None] - CELLS + np.arange(CELLS)]
+    cells = starts[1:, None] - CELLS + np.arange(CELLS)
+    values = np.concatenate([signals(canonical, fine, starts)[cells], signals(world, fine, starts)[cells, :WORLD]], 2)
     part = CELLS / grids
     values[:, :, 2] *= part[:, None]  # v is per t of the whole strand: per t of the section it is less
     reading = np.where(curled, np.where(coarse, Reading.COARSE, Reading.READ), Reading.STRAIGHT).astype(np.int8)

@@ -3,7 +3,8 @@
 Paper section "Inferencing texture parameters". A bidirectional LSTM with attention tells the twist prevalence; a
 transformer encoder tells the torsion that characterises the lower section, from channels that say where twists disturb
 it least; the curvature that characterises it is that of low frequencies; the helix equations give the rest. Beyond the
-paper the encoder also tells where low frequencies count, and a factor on the curvature.
+paper both networks also see the strand as it lies in the world, whose curls no straightening has stretched; and the
+encoder tells where each of the two counts, and a factor on the curvature.
 
 Bahdanau et al. 2016 (attention), Vaswani et al. 2017 (encoder), Xiong et al. 2020 (normalisation before each layer).
 """
@@ -18,7 +19,7 @@ import torch
 from torch import Tensor, nn
 from torch.nn import functional
 
-from detangled.labeling import CELLS, LOWER_PART
+from detangled.labeling import CELLS, LOWER_PART, WORLD
 from detangled_training.recurrence import BidirectionalLSTM
 
 # Low frequencies of curvature: a Gaussian of a sixteenth of the length.
@@ -37,6 +38,7 @@ ROUNDED = 0.1
 LEAST_SIZE = 1e-5  # [1/cm]
 # Logarithms of how much less a cell above the lower section counts: in torsion to begin with, in curvature always.
 UPPER, NEVER = -3.0, -30.0
+CHANNELS = 5 + 2 * WORLD  # of the encoder: the paper's, and of the world each signal with its low frequencies
 LEAST_TORSION = 0.02  # of the curvature, so that a torsion of zero has a logarithm
 
 
@@ -76,7 +78,12 @@ class Labeler(nn.Module):
         self.register_buffer("low_pass", gaussian_matrix(CELLS, LOW_PASS_CELLS), persistent=False)
 
     def forward(self, signals: Tensor) -> Labels:
-        """Labels of signals (B, CELLS, 3) of kappa, tau [1/cm] and v [cm per t]."""
+        """Labels of signals (B, CELLS, 5): kappa, tau [1/cm] and v [cm per t], and kappa and tau in the world.
+
+        Of (B, CELLS, 3) as well: the strand lies as it does in canonical space.
+        """
+        if signals.shape[2] == 3:
+            signals = in_canonical_space(signals)
         twist = self.twist(signals)
         return self.knowing(signals, twist)
 
@@ -87,22 +94,27 @@ class Labeler(nn.Module):
         return Labels(kappa / total, 2.0 * math.pi * tau / total, twist, kappa, tau)
 
 
+def in_canonical_space(signals: Tensor) -> Tensor:
+    """Signals (B, L, 5) of strands (B, L, 3 or 5) that lie in the world as they do in canonical space."""
+    return torch.cat([signals[:, :, :3], signals[:, :, :WORLD]], dim=2)
+
+
 class TwistNetwork(nn.Module):
-    """T_f (B,) of signals (B, CELLS, 3)."""
+    """T_f (B,) of signals (B, CELLS, 5)."""
 
     def __init__(self, sizes: LabelerSizes) -> None:
         super().__init__()
         self.cells = sizes.lstm_cells
         width = 2 * sizes.lstm_width
-        self.lstm = BidirectionalLSTM(3 * sizes.lstm_cells, sizes.lstm_width)
+        self.lstm = BidirectionalLSTM((3 + WORLD) * sizes.lstm_cells, sizes.lstm_width)
         self.attention = nn.Sequential(nn.Linear(width, sizes.lstm_width), nn.Tanh(), nn.Linear(sizes.lstm_width, 1))
         self.head = _head(width, (128, 64), sizes.dropout)
 
     def forward(self, signals: Tensor) -> Tensor:
-        width = signals[:, :, 2:] / CELLS  # [cm] of a cell
-        angles = torch.asinh(signals[:, :, :2] * width / SMALL_ANGLE)
-        x = torch.cat([angles, torch.log(width / TYPICAL_CELL)], dim=2)
-        hidden = self.lstm(x.reshape(x.shape[0], -1, 3 * self.cells))
+        width = signals[:, :, 2:3] / CELLS  # [cm] of a cell
+        angles, in_world = (torch.asinh(x * width / SMALL_ANGLE) for x in (signals[:, :, :2], signals[:, :, 3:]))
+        x = torch.cat([angles, torch.log(width / TYPICAL_CELL), in_world], dim=2)
+        hidden = self.lstm(x.reshape(x.shape[0], -1, (3 + WORLD) * self.cells))
         share = torch.softmax(self.attention(hidden), dim=1)
         return torch.sigmoid(self.head((share * hidden).sum(dim=1)))[:, 0]
 
@@ -112,17 +124,17 @@ class HelixNetwork(nn.Module):
 
     The encoder says both: how much each place counts in either mean, and by its mean pooling and the last layers the
     factors. To begin with curvature is the mean of its low frequencies over the lower section, torsion that over the
-    places which twists disturb least.
+    places which twists disturb least; in the world both are means over such places.
     """
 
     def __init__(self, sizes: LabelerSizes) -> None:
         super().__init__()
         self.cells = sizes.encoder_cells
-        self.embed = nn.Linear(5 * sizes.encoder_cells, sizes.encoder_width)
+        self.embed = nn.Linear(CHANNELS * sizes.encoder_cells, sizes.encoder_width)
         self.place = nn.Parameter(0.02 * torch.randn(CELLS // sizes.encoder_cells, sizes.encoder_width))
         self.layers = nn.ModuleList(EncoderLayer(sizes) for _ in range(sizes.layers))
         self.norm = nn.LayerNorm(sizes.encoder_width)
-        self.share = nn.Linear(sizes.encoder_width, 2)
+        self.share = nn.Linear(sizes.encoder_width, 4)
         self.kappa_factor = _head(sizes.encoder_width, (256, 128), sizes.dropout)
         self.tau_factor = _head(sizes.encoder_width, (256, 128), sizes.dropout)
         for last in (self.share, self.kappa_factor[-1], self.tau_factor[-1]):
@@ -135,7 +147,10 @@ class HelixNetwork(nn.Module):
         tau = signals[:, :, 1]
         weighted = tau * bend.weight
         low = undisturbed(tau, low_pass)
-        off = _size(tau - low, tau)
+        clear = _weight(_size(tau - low, tau))
+        world = signals[:, :, 3:].unbind(dim=2)
+        world_low = [undisturbed(x, low_pass) for x in world]
+        world_clear = [_weight(_size(x - own, x)) for x, own in zip(world, world_low, strict=True)]
         scale = bend.kappa[:, None]
         # Torsion is told of either hand alike: as if the lower section were right-handed.
         hand = torch.where(low[:, LOWER_FROM:].mean(dim=1) < 0.0, -1.0, 1.0)[:, None]
@@ -145,20 +160,31 @@ class HelixNetwork(nn.Module):
             torch.asinh(hand * tau / scale),
             torch.asinh(hand * weighted / scale),
             twist[:, None].expand_as(tau),
+            world[0] / scale,
+            world_low[0] / scale,
+            torch.asinh(hand * world[1] / scale),
+            torch.asinh(hand * world_low[1] / scale),
         )
         x = torch.stack(channels, dim=2)
-        x = self.embed(x.reshape(x.shape[0], -1, 5 * self.cells)) + self.place
+        x = self.embed(x.reshape(x.shape[0], -1, CHANNELS * self.cells)) + self.place
         for layer in self.layers:
             x = layer(x)
         x = self.norm(x)
-        of_kappa, of_tau = (
+        counts = [
             share.expand(-1, -1, self.cells).reshape(x.shape[0], CELLS) for share in self.share(x).split(1, dim=2)
-        )
+        ]
         lower = torch.arange(CELLS, device=x.device) >= LOWER_FROM
-        shares = torch.softmax(of_kappa + torch.where(lower, 0.0, NEVER), dim=1)
-        kappa = (shares * bend.low).sum(dim=1).clamp_min(LEAST_RATE)
-        shares = torch.softmax(of_tau + torch.where(lower, 0.0, UPPER) + torch.log(_weight(off)), dim=1)
-        plain = (shares * tau).sum(dim=1)
+        undisturbed_world = torch.log(world_clear[0]) + torch.log(world_clear[1])
+        shares = torch.softmax(
+            torch.cat([counts[0], counts[1] + undisturbed_world], 1) + torch.where(lower, 0.0, NEVER).repeat(2), dim=1
+        )
+        kappa = (shares * torch.cat([bend.low, world[0]], 1)).sum(dim=1).clamp_min(LEAST_RATE)
+        shares = torch.softmax(
+            torch.cat([counts[2] + torch.log(clear), counts[3] + undisturbed_world], 1)
+            + torch.where(lower, 0.0, UPPER).repeat(2),
+            dim=1,
+        )
+        plain = (shares * torch.cat([tau, world[1]], 1)).sum(dim=1)
         tau = torch.sqrt(plain**2 + (LEAST_TORSION * kappa) ** 2)
         mean = x.mean(dim=1)
         return kappa * torch.exp(self.kappa_factor(mean)[:, 0]), tau * torch.exp(self.tau_factor(mean)[:, 0])

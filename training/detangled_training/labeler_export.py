@@ -1,7 +1,8 @@
 """Labelers as ONNX: one graph that tells labels, one that tells their gradient as well, a manifest beside each.
 
 onnxruntime has no derivatives, so the second graph is traced with its own: labels (B, 3) and, for weights (B, 3), the
-gradient of their weighted sum by the signals (B, CELLS, 3). Both take a batch of one size.
+gradient of their weighted sum by the signals (B, CELLS, 3) of strands that lie as in canonical space, as those do that
+are guided. Both take a batch of one size.
 """
 
 from __future__ import annotations
@@ -18,7 +19,7 @@ from torch._decomp import get_decompositions
 from torch.fx.experimental.proxy_tensor import make_fx
 
 from detangled.errors import ModelError
-from detangled.labeling import CELLS
+from detangled.labeling import CELLS, WORLD
 from detangled.models import FILES, FORMAT, LABELER, LABELER_GRADIENT, VERSION
 from detangled_training.labeler import Labeler, LabelerSizes
 from detangled_training.labeler_training import read_labelers
@@ -100,9 +101,9 @@ def with_gradient(network: Labeler, signals: Tensor, weights: Tensor) -> tuple[T
 
 def labeler_graph(network: Labeler, batch: int) -> bytes:
     """The labels alone."""
-    signals = torch.from_numpy(random_signals(batch))
+    signals = torch.from_numpy(with_world(batch))
     translator = _translated(lambda x: (stacked(network, x),), network, (signals,), ("signals",), ("labels",))
-    return serialized("labeler", translator, {"signals": [batch, CELLS, 3]}, {"labels": [batch, LABELS]}, [])
+    return serialized("labeler", translator, {"signals": list(signals.shape)}, {"labels": [batch, LABELS]}, [])
 
 
 def gradient_graph(network: Labeler, batch: int) -> bytes:
@@ -131,6 +132,12 @@ def random_signals(count: int, seed: int = 0) -> NDArray[np.float32]:
     return values.astype(np.float32)
 
 
+def with_world(count: int, seed: int = 0) -> NDArray[np.float32]:
+    """Random signals (B, CELLS, 5) of strands that lie otherwise in the world."""
+    world = random_signals(count, seed + 1)[:, :, :WORLD]
+    return np.concatenate([random_signals(count, seed), world], axis=2)
+
+
 def _translated(
     function: Any, network: Labeler, given: tuple[Tensor, ...], inputs: tuple[str, ...], outputs: tuple[str, ...]
 ) -> Translator:
@@ -147,11 +154,12 @@ def _translated(
 
 def _check(path: Path, network: Labeler, batch: int) -> float:
     running = session(path)
+    channels = running.get_inputs()[0].shape[2]
     names = [value.name for value in running.get_inputs()]
     outputs = [value.name for value in running.get_outputs()]
     differences = []
     for k in range(CHECKED):
-        signals = random_signals(batch, seed=k + 1)
+        signals = with_world(batch, seed=k + 1)[:, :, :channels]
         # Labels of one size, whatever the strand's, so that one tolerance suits all of them.
         with torch.no_grad():
             labels = stacked(network, torch.from_numpy(signals)).numpy()

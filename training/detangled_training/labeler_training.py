@@ -10,7 +10,7 @@ import math
 import os
 import time
 from collections.abc import Callable
-from dataclasses import asdict, dataclass, field
+from dataclasses import asdict, dataclass, field, replace
 from pathlib import Path
 from typing import Any
 
@@ -23,7 +23,7 @@ from torch.nn import functional
 from detangled.errors import ModelError, ReadError, WriteError
 from detangled.texture import HAIR_TYPES, TWISTS_PER_CM
 from detangled_training.dataset import SPLIT_NAMES, TEST, TRAIN, VALIDATION, Dataset, read_dataset
-from detangled_training.labeler import Labeler, LabelerSizes
+from detangled_training.labeler import Labeler, LabelerSizes, in_canonical_space
 from detangled_training.processes import Processes
 from detangled_training.provenance import commit, make_folder
 from detangled_training.strands import UNTYPED
@@ -32,10 +32,11 @@ CHECKPOINT = "labelers.pt"
 NAMES = {False: "procedural", True: "simulated"}  # of data sets
 STAGES = (("twist", False), ("helix", False), ("twist", True), ("helix", True))  # network, on simulated strands
 STORED = ("options", "network", "optimizer", "stage", "step", "seconds", "history", "report")
-COLUMNS = ("base", "kind", "radius", "wavelength", "twists", "length", "read")
+COLUMNS = ("base", "kind", "radius", "wavelength", "twists", "length", "read", "world")
 LEAST_RATE = 0.01  # of the learning rate, at the end of each stage
 SECOND_RATE = 0.5  # of the learning rate, where a network is trained again
 CLIP = 1.0
+LAID = 1 / 3  # of strands are shown as if they lay in the world as they do in canonical space
 TWIST_KNEE, LOGARITHM_KNEE = 0.05, 0.1  # errors beyond count no longer by their square
 # Errors of radii count in parts of them, but below so many cm nobody can tell.
 LEAST_RADIUS = 0.02
@@ -60,7 +61,7 @@ class LabelerOptions:
 
 @dataclass(frozen=True)
 class Examples:
-    """Signals (V, CELLS, 3) and what is to be told of them, (V,) each: radius, wavelength [cm], twist, kind, read."""
+    """Signals (V, CELLS, 5) and what is to be told of them, (V,) each: radius, wavelength [cm], twist, kind, read."""
 
     signals: NDArray[np.float32]
     radius: NDArray[np.float32]
@@ -75,7 +76,14 @@ class Examples:
         labels = data.labels
         twist = np.clip(labels["twists"] / (TWISTS_PER_CM * labels["length"]), 0.0, 1.0)
         radius, wavelength = (labels[name].astype(np.float32) for name in ("radius", "wavelength"))
-        return cls(data.signals, radius, wavelength, twist.astype(np.float32), labels["kind"], labels["read"])
+        return cls(
+            np.concatenate([data.signals, labels["world"]], axis=2),
+            radius,
+            wavelength,
+            twist.astype(np.float32),
+            labels["kind"],
+            labels["read"],
+        )
 
     def __len__(self) -> int:
         return len(self.signals)
@@ -163,7 +171,11 @@ class LabelerTraining:
                     break
 
         if not self.scores:
-            self.scores = {NAMES[simulated]: score(self.network, self._read(simulated, TEST)) for simulated in NAMES}
+            for simulated, name in NAMES.items():
+                examples = self._read(simulated, TEST)
+                self.scores[name] = score(self.network, examples)
+                laid = replace(examples, signals=examples.signals[:, :, :3])
+                self.scores[f"{name}, in canonical space"] = score(self.network, laid)
             self.save(None)
 
     def report(self) -> dict[str, Any]:
@@ -210,15 +222,15 @@ class LabelerTraining:
             torch.cat(parts)[self.processes.part] for parts in zip(*drawn, strict=True)
         )
         # Mirrored strands are as likely. Turning one about its axis changes none of its signals.
-        mirrored = torch.from_numpy(np.where(rng.uniform(size=options.batch) < 0.5, -1.0, 1.0).astype(np.float32))
-        signals = torch.stack(
-            [
-                signals[:, :, 0],
-                signals[:, :, 1] * mirrored[self.processes.part, None].to(processes.device),
-                signals[:, :, 2],
-            ],
-            2,
+        mirrored, laid = (
+            torch.from_numpy(rng.uniform(size=options.batch) < share)[self.processes.part, None, None].to(
+                signals.device
+            )
+            for share in (0.5, LAID)
         )
+        turned_over = torch.tensor([1.0, -1.0, 1.0, 1.0, -1.0], device=signals.device)
+        signals = torch.where(mirrored, signals * turned_over, signals)
+        signals = torch.where(laid, in_canonical_space(signals), signals)
         rise = min(1.0, (self.step + 1) / max(options.warm_up, 1))
         fall = 0.5 * (1.0 + math.cos(math.pi * self.step / options.steps[stage]))
         for group in optimizer.param_groups:
@@ -298,7 +310,7 @@ def logarithms(radius: Tensor, wavelength: Tensor, wanted: Tensor, wanted_wavele
 
 
 def told(network: Labeler, signals: NDArray[np.float32]) -> tuple[NDArray, NDArray, NDArray]:
-    """Radius, wavelength and twist (V,) that a network tells of signals (V, CELLS, 3)."""
+    """Radius, wavelength and twist (V,) that a network tells of signals (V, CELLS, 3 or 5)."""
     network.eval()
     device = next(network.parameters()).device
     parts = []

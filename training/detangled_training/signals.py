@@ -75,25 +75,26 @@ def straightened(strands: Strands, guides: NDArray[np.float64] | None = None) ->
 
 
 def on_grids(
-    canonical: Straightened,
+    points: NDArray[np.float64],
+    offsets: NDArray[np.int64],
     turns: NDArray[np.float64],
     cells_per_turn: float,
     share: NDArray[np.float64],
     out: NDArray[np.float32],
 ) -> NDArray[np.float64]:
-    """Fill ``out`` (S, L, 3) with signals; return the part [t0, t1] (S, 2) of its strand that each covers.
+    """Fill ``out`` (S, L, C) with C channels of signals; return the part [t0, t1] (S, 2) of its strand each covers.
 
-    A strand of more turns (S,) than L cells can hold is put on a finer grid; ``share`` (S,) in [0, 1) says which
-    stretch of it is taken.
+    Strands are points (P, 3) [cm] by offsets (S + 1,). A strand of more turns (S,) than L cells can hold is put on a
+    finer grid; ``share`` (S,) in [0, 1) says which stretch of it is taken.
     """
     cells = out.shape[1]
     grids = np.maximum(cells, np.ceil(turns * cells_per_turn).astype(np.int64))
     starts = offsets_of(grids)
-    values = signals(canonical.points, canonical.offsets, starts)
+    values = signals(points, offsets, starts)
     begin = np.minimum((share * (grids - cells + 1)).astype(np.int64), grids - cells)
-    out[:] = values[(starts[:-1] + begin)[:, None] + np.arange(cells)]
     # v is per t of the whole strand: per t of the stretch it is less.
-    out[:, :, 2] *= (cells / grids)[:, None]
+    values[:, 2] *= np.repeat(cells / grids, grids)
+    out[:] = values[(starts[:-1] + begin)[:, None] + np.arange(cells), : out.shape[2]]
     return np.stack([begin / grids, (begin + cells) / grids], axis=1)
 
 

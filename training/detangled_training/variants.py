@@ -1,8 +1,9 @@
 """What a data set is made of: procedural strands, the same hung wet, and both as a groom's file would hold them.
 
 Paper sections "Simulation" and "Data Generation and Curation". Every base strand comes as it was constructed, or hung
-several times with fibres of its own. Some also come as they are read from a file: with few points, with noise, and
-straightened without the hair before their root and beyond their tip, which a file has not.
+several times with fibres of its own. Some also come as they are read from a file: with few points, with noise, bent by
+a hairstyle, and straightened without the hair before their root and beyond their tip, which a file has not; half of
+these as retextured hair lies, straight but for its style.
 
 A hung strand's radius and wavelength are those of its twin, the same strand without twists under the same load: paper
 and all, there are no hand labels here. Of such a smooth coil they follow from curvature and torsion at each place.
@@ -15,12 +16,13 @@ from dataclasses import dataclass, replace
 
 import numpy as np
 from numpy.typing import NDArray
+from scipy.spatial.transform import Rotation
 
 from detangled.errors import TextureError
 from detangled.geometry.signal import signals
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.placing import resample
-from detangled.labeling import CELLS, CELLS_PER_TURN, Reading, lower_signals
+from detangled.labeling import CELLS, CELLS_PER_TURN, WORLD, Reading, lower_signals
 from detangled.texture import RADIUS_LIMITS, Spread, arc_of_a_turn
 from detangled_training.hanging import differ, hang
 from detangled_training.material import Fibres
@@ -32,6 +34,8 @@ TWIN_CELLS = 256
 FEWEST_POINTS = 8  # of a strand in a file
 POINTS_PER_TURN = (5.0, 32.0)  # of strands in files, in the logarithm
 NOISE = (1e-4, 1e-2)  # of a strand's radius, in the logarithm
+BENDS = (0.01, 0.3)  # [1/cm] of hairstyles, in the logarithm
+MOST_BENT = 4.0  # [rad] from root to tip, about
 FILE_DIGITS = 1e-5  # [cm] least noise: what float32 leaves of coordinates on a head
 
 # Fibres that strands are hung with: thickness [um] as people have it, the moduli [GPa] of wet hair.
@@ -67,12 +71,14 @@ Columns = dict[str, NDArray]
 def make_variants(first: int, count: int, seed: int, options: VariantOptions) -> tuple[NDArray[np.float32], Columns]:
     """Signals (V, cells, 3) of all variants of base strands ``first`` to ``first + count``, and their labels.
 
-    A column (V, ...) each. base: the strand's number. variant: which time it was hung, -1 where it was not. stretched:
+    A column (V, ...) each. world: (V, cells, 2) kappa and tau as it lies in the world, beside those of its signals, in
+    canonical space. base: the strand's number. variant: which time it was hung, -1 where it was not. stretched:
     whether it hung from the stretched pose, where that ends otherwise. read: whether it is as a file holds it, then
-    with points_per_turn and noise [cm]. kind: index into HAIR_TYPES, or UNTYPED. radius, wavelength [cm]: of the
-    signal's lower part, without twists. twist (T_f), twists (how many), length [cm] of arc, hand: as constructed.
-    turns: of the whole strand. position (2): the part of root to tip that the signal covers. thickness [um],
-    axis_ratio, porosity, youngs, shear [GPa]: of the fibre, NaN where it is not hung.
+    with points_per_turn and noise [cm], and laid: whether it lies there as retextured hair does. kind: index into
+    HAIR_TYPES, or UNTYPED. radius, wavelength [cm]: of the signal's lower part, without twists. twist (T_f), twists
+    (how many), length [cm] of arc, hand: as constructed. turns: of the whole strand. position (2): the part of root to
+    tip that the signal covers. thickness [um], axis_ratio, porosity, youngs, shear [GPa]: of the fibre, NaN where it is
+    not hung.
 
     Depends on the seed and each strand's number alone. Strands that could not be hung or read are left out.
     """
@@ -122,7 +128,7 @@ def _both(
         np.random.default_rng([seed, int(number), _READ, int(which) + 1])
         for number, which in zip(recipes.number, variant, strict=True)
     ]
-    uniform = np.array([rng.random(4) for rng in streams])
+    uniform = np.array([rng.random(6) for rng in streams])
     if radius is None or wavelength is None:
         turns = strands.length / arc_of_a_turn(strands.radius, strands.wavelength)
     else:
@@ -145,8 +151,13 @@ def _both(
     everyone = np.arange(len(recipes))
     nan = np.full(len(recipes), np.nan)
     values = np.empty((len(recipes), options.cells, 3), dtype=np.float32)
-    position = on_grids(straightened(strands), turns, CELLS_PER_TURN, uniform[:, 0], values)
-    unread = {"read": np.zeros(len(recipes), dtype=np.bool_), "points_per_turn": nan, "noise": nan}
+    world = np.empty((len(recipes), options.cells, WORLD), dtype=np.float32)
+    body, offsets = bodies(strands)
+    canonical = straightened(strands)
+    for points, out in ((canonical.points, values), (body, world)):
+        position = on_grids(points, offsets, turns, CELLS_PER_TURN, uniform[:, 0], out)
+    no = np.zeros(len(recipes), dtype=np.bool_)
+    unread = {"world": world, "read": no, "laid": no, "points_per_turn": nan, "noise": nan}
     parts = [(values, labelled(position, everyone, unread))]
 
     chosen = np.flatnonzero(uniform[:, 1] < options.read_share)
@@ -154,19 +165,48 @@ def _both(
         return parts
     per_turn = np.exp(np.interp(uniform[:, 2], (0.0, 1.0), np.log(POINTS_PER_TURN)))
     noise = np.exp(np.interp(uniform[:, 3], (0.0, 1.0), np.log(NOISE))) * strands.radius + FILE_DIGITS
-    body, offsets = bodies(strands)
+    laid = uniform[:, 4] < 0.5
+    style = np.array([rng.standard_normal((2, 3)) for rng in streams])
+    style *= np.exp(np.interp(uniform[:, 5], (0.0, 1.0), np.log(BENDS)))[:, None, None]
+    lying = np.where(np.repeat(laid, np.diff(offsets))[:, None], canonical.points, body)
+    lying = bent(lying, offsets, style)
     counts = np.maximum(np.ceil(per_turn * turns), FEWEST_POINTS).astype(np.int64) + 1
     sparse = offsets_of(counts)
-    points = resample(body, offsets, sparse)
+    points = resample(lying, offsets, sparse)
     for s in chosen:
         points[sparse[s] : sparse[s + 1]] += noise[s] * streams[s].standard_normal((counts[s], 3))
     lower = lower_signals(*_selected(points, sparse, chosen))
     readable = lower.reading == Reading.READ
     chosen = chosen[readable]
     position = np.stack([1.0 - lower.part[readable], np.ones(len(chosen))], axis=1)
-    read = {"read": np.ones(len(recipes), dtype=np.bool_), "points_per_turn": per_turn, "noise": noise}
-    parts.append((lower.values[readable].astype(np.float32), labelled(position, chosen, read)))
+    values = lower.values[readable].astype(np.float32)
+    read = {"read": ~no, "laid": laid, "points_per_turn": per_turn, "noise": noise}
+    columns = labelled(position, chosen, read)
+    parts.append((values[:, :, :3], {"world": values[:, :, 3:], **columns}))
     return parts
+
+
+def bent(points: NDArray[np.float64], offsets: NDArray[np.int64], style: NDArray[np.float64]) -> NDArray[np.float64]:
+    """Strands (P, 3) [cm] bent as hairstyles bend them: each segment turned, so that arc lengths stay.
+
+    style: (S, 2, 3) [1/cm] how fast segments turn along the arc about either of two axes: a constant rate, half a wave
+    and a whole one from root to tip. Rates are lowered where that would be more than MOST_BENT.
+    """
+    counts = np.diff(offsets)
+    segments = np.diff(points, axis=0)
+    lengths = np.linalg.norm(segments, axis=1)
+    arc = np.concatenate([[0.0], np.cumsum(lengths)])
+    total = arc[offsets[1:] - 1] - arc[offsets[:-1]]
+    strand = np.repeat(np.arange(len(counts)), counts)
+    share = (arc - arc[offsets[:-1]][strand]) / total[strand]
+    waves = np.stack([share, np.sin(np.pi * share) / np.pi, np.sin(2.0 * np.pi * share) / (2.0 * np.pi)], axis=1)
+    fastest = np.abs(style).max(axis=(1, 2)) * total
+    angles = style * (total * np.minimum(1.0, MOST_BENT / np.maximum(fastest, 1e-12)))[:, None, None]
+    turn = Rotation.from_euler("xy", np.einsum("pk,pjk->pj", waves, angles[strand]))
+    steps = np.concatenate([np.zeros((1, 3)), turn[1:].apply(segments)])
+    out = np.cumsum(steps, axis=0)
+    # Each strand begins where it did.
+    return out + (points - out)[offsets[:-1]][strand]
 
 
 @dataclass(frozen=True)
