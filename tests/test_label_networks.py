@@ -58,6 +58,14 @@ def test_a_signal_is_told_the_same_whatever_comes_with_it(models: Path) -> None:
     np.testing.assert_array_equal(network(values[order]), together[order])
 
 
+def test_labelers_that_know_canonical_space_alone_are_not_told_of_the_world(models: Path) -> None:
+    values = some_values(BATCH)
+    both = np.concatenate([values, some_values(BATCH, seed=3)[:, :, :2]], axis=2)
+    np.testing.assert_array_equal(
+        LabelNetwork(load_labeler(LABELER, models))(both), LabelNetwork(load_labeler(LABELER, models))(values)
+    )
+
+
 def test_padding_repeats_what_is_there() -> None:
     values = some_values(3)
     made = padded(values, 5)

@@ -30,7 +30,9 @@ from detangled_training.labeler_export import (  # noqa: E402
     labeler_graph,
     labelers,
     random_signals,
+    stacked,
     with_gradient,
+    with_world,
 )
 from detangled_training.onnx_files import write_model  # noqa: E402
 from tiny_labeler_network import TINY, tiny_labeler  # noqa: E402
@@ -90,13 +92,17 @@ def relative(values: NDArray[Any], wanted: NDArray[Any]) -> float:
 
 @pytest.mark.parametrize("seed", [11, 12, 13])
 def test_exported_labels_and_gradients_equal_torch(exported: Path, rounded: Labeler, seed: int) -> None:
+    in_world = with_world(BATCH, seed)
+    with torch.no_grad():
+        wanted = stacked(rounded, torch.from_numpy(in_world))
+    (labels,) = session(exported / "labeler.onnx").run(None, {"signals": in_world})
+    np.testing.assert_allclose(labels, wanted.numpy(), rtol=1e-5, atol=1e-6)
+
     values = random_signals(BATCH, seed)
     weights = np.random.default_rng(seed).standard_normal((BATCH, 3)).astype(np.float32)
     wanted, gradient = with_gradient(rounded, torch.from_numpy(values), torch.from_numpy(weights))
-    (labels,) = session(exported / "labeler.onnx").run(None, {"signals": values})
+    labels, found = session(exported / "labeler_gradient.onnx").run(None, {"signals": values, "weights": weights})
     np.testing.assert_allclose(labels, wanted.numpy(), rtol=1e-5, atol=1e-6)
-    again, found = session(exported / "labeler_gradient.onnx").run(None, {"signals": values, "weights": weights})
-    np.testing.assert_allclose(again, wanted.numpy(), rtol=1e-5, atol=1e-6)
     assert found.shape == values.shape
     assert relative(found, gradient.numpy()) < GRADIENT
 
@@ -121,7 +127,7 @@ def test_an_exported_gradient_says_how_the_exported_labels_change(exported: Path
         return np.asarray(sums[0] - sums[1]) / step
 
     # Below, float32 rounds the sums; above, what was left out as disturbed begins to change.
-    np.testing.assert_allclose(change(0.003), 1.0, rtol=2e-3)
+    np.testing.assert_allclose(change(0.002), 1.0, rtol=2e-3)
 
 
 # ---- what is written

@@ -24,12 +24,14 @@ from detangled_training.labeler import (  # noqa: E402
     Labeler,
     bends,
     gaussian_matrix,
+    in_canonical_space,
     undisturbed,
 )
 from detangled_training.labeler_export import (  # noqa: E402
     random_signals,
     stacked,
     with_gradient,
+    with_world,
 )
 from tiny_labeler_network import TINY, tiny_labeler  # noqa: E402
 
@@ -58,7 +60,11 @@ def helix_signals(radius: float, wavelength: float, turns: float = 10.0, hand: f
 
 
 def signals(count: int, seed: int) -> Any:
-    return torch.from_numpy(random_signals(count, seed))
+    """Signals (B, CELLS, 5) of strands that lie otherwise in the world."""
+    return torch.from_numpy(with_world(count, seed))
+
+
+MIRRORED = torch.tensor([1.0, -1.0, 1.0, 1.0, -1.0])
 
 
 # ---- what needs no network
@@ -92,12 +98,16 @@ def test_the_network_says_a_factor_on_the_torsion(factor: float) -> None:
 
 def test_before_training_torsion_is_the_mean_of_the_cells_that_are_disturbed_least() -> None:
     """Of the lower section, but for a twentieth that a cell above it counts; so training begins at a fair guess."""
-    given = signals(32, seed=7)
+    given = in_canonical_space(signals(32, seed=7))
     network = untrained()
-    tau = given[:, :, 1].double()
-    off = (tau - undisturbed(tau, LOW_PASS.double())).abs()
-    off = torch.hypot(off, ROUNDED * tau.abs().mean(dim=1, keepdim=True))
-    share = 1.0 / (off / off.mean(dim=1, keepdim=True) + SPREAD)
+    kappa, tau = given[:, :, 0].double(), given[:, :, 1].double()
+
+    def steadiness(x: Any) -> Any:
+        off = torch.hypot(x - undisturbed(x, LOW_PASS.double()), ROUNDED * x.abs().mean(dim=1, keepdim=True))
+        return SPREAD / (off / off.mean(dim=1, keepdim=True) + SPREAD)
+
+    # As in canonical space, and once more as in the world, where the curvature's twists count as well.
+    share = steadiness(tau) * (1.0 + steadiness(kappa))
     share[:, :LOWER_FROM] *= math.exp(UPPER)
     plain = (share * tau).sum(dim=1) / share.sum(dim=1)
     found = network(given)
@@ -122,16 +132,26 @@ def test_the_network_says_a_factor_on_the_curvature(factor: float) -> None:
     torch.testing.assert_close(found.radius, found.kappa / (found.kappa**2 + found.tau**2))
 
 
-def test_the_network_says_where_low_frequencies_of_the_lower_section_count() -> None:
-    """With shares that follow the encoder's tokens the curvature is another mean of them, within their range."""
+@pytest.mark.parametrize("seen", ["canonical", "world"])
+def test_the_network_says_where_curvature_of_the_lower_section_counts(seen: str) -> None:
+    """With shares that follow the encoder's tokens the curvature is another mean of one signal, within its range."""
     given, network = signals(16, seed=8), untrained()
+    which = ("canonical", "world").index(seen)
+    network.helix.share.bias[which] = 100.0  # the other does not count
     plain = network(given)
-    network.helix.share.weight[0].normal_(std=3.0)
+    network.helix.share.weight[which].normal_(std=3.0)
     found = network(given)
-    low = undisturbed(given[:, :, 0], LOW_PASS)[:, LOWER_FROM:]
+    of = (undisturbed(given[:, :, 0], LOW_PASS), given[:, :, 3])[which][:, LOWER_FROM:]
     assert float((found.kappa / plain.kappa - 1.0).abs().max()) > 1e-3
-    assert (found.kappa >= low.min(dim=1).values * (1.0 - FLOAT32)).all()
-    assert (found.kappa <= low.max(dim=1).values * (1.0 + FLOAT32)).all()
+    assert (found.kappa >= of.min(dim=1).values * (1.0 - FLOAT32)).all()
+    assert (found.kappa <= of.max(dim=1).values * (1.0 + FLOAT32)).all()
+
+
+def test_what_lies_as_in_canonical_space_needs_no_world() -> None:
+    network, given = tiny_labeler(), signals(4, seed=9)
+    for alone, both in zip(network(given[:, :, :3]), network(in_canonical_space(given)), strict=True):
+        torch.testing.assert_close(alone, both, rtol=0.0, atol=0.0)
+    assert float((network(given).radius / network(given[:, :, :3]).radius - 1.0).abs().min()) > 1e-3
 
 
 def test_the_lower_section_is_what_is_read() -> None:
@@ -193,7 +213,7 @@ def test_hair_ten_times_as_large_has_ten_times_the_radius_and_wavelength(scale: 
     """With the twist known: how many twists are natural depends on size, how torsion follows from shape does not."""
     network, given = tiny_labeler(), signals(16, seed=1)
     twist = torch.linspace(0.0, 1.0, 16)
-    larger = given * torch.tensor([1.0 / scale, 1.0 / scale, scale])
+    larger = given * torch.tensor([1.0 / scale, 1.0 / scale, scale, 1.0 / scale, 1.0 / scale])
     found, wanted = network.knowing(larger, twist), network.knowing(given, twist)
     # Up to the least rates, which are of hair and do not scale.
     torch.testing.assert_close(found.radius, scale * wanted.radius, rtol=0.01, atol=0.0)
@@ -203,13 +223,13 @@ def test_hair_ten_times_as_large_has_ten_times_the_radius_and_wavelength(scale: 
 def test_a_mirrored_strand_has_the_same_radius_and_wavelength() -> None:
     network, given = tiny_labeler(), signals(16, seed=2)
     twist = torch.linspace(0.0, 1.0, 16)
-    mirrored = given * torch.tensor([1.0, -1.0, 1.0])
+    mirrored = given * MIRRORED
     found, wanted = network.knowing(mirrored, twist), network.knowing(given, twist)
     torch.testing.assert_close(found.radius, wanted.radius, rtol=FLOAT32, atol=0.0)
     torch.testing.assert_close(found.wavelength, wanted.wavelength, rtol=FLOAT32, atol=0.0)
 
 
-@pytest.mark.parametrize("name", ["kappa", "tau", "v"])
+@pytest.mark.parametrize("name", ["kappa", "tau", "v", "kappa in the world", "tau in the world"])
 def test_twist_is_a_share_and_every_channel_counts(name: str) -> None:
     network, given = tiny_labeler(), signals(8, seed=3)
     twist = network(given).twist
@@ -217,7 +237,7 @@ def test_twist_is_a_share_and_every_channel_counts(name: str) -> None:
     assert float(twist.min()) >= 0.0
     assert float(twist.max()) <= 1.0
     changed = given.clone()
-    changed[:, :, ["kappa", "tau", "v"].index(name)] *= 1.5
+    changed[:, :, ["kappa", "tau", "v", "kappa in the world", "tau in the world"].index(name)] *= 1.5
     assert float((network(changed).twist - twist).abs().max()) > 1e-4
 
 
@@ -234,7 +254,7 @@ def test_the_torsion_depends_on_the_twist_and_on_what_is_above() -> None:
     without, with_all = (network.knowing(given, torch.full((8,), twist)).tau for twist in (0.0, 1.0))
     assert float((without / with_all - 1.0).abs().max()) > 1e-3
     above = given.clone()
-    above[:, : CELLS // 8] *= torch.tensor([2.0, 1.0, 1.0])
+    above[:, : CELLS // 8] *= torch.tensor([2.0, 1.0, 1.0, 1.0, 1.0])
     assert float((network.knowing(above, torch.zeros(8)).tau / without - 1.0).abs().max()) > 1e-3
 
 
@@ -244,7 +264,7 @@ def test_the_torsion_depends_on_the_twist_and_on_what_is_above() -> None:
 def test_gradients_in_torch_are_central_differences() -> None:
     network = tiny_labeler().double()
     network.twist.lstm.traceable = True
-    given = signals(2, seed=6).double()
+    given = torch.from_numpy(random_signals(2, 6)).double()
     weights = torch.tensor([[1.0, 0.3, 2.0], [-0.5, 1.0, 1.0]], dtype=torch.float64)
     _, gradient = with_gradient(network, given, weights)
     torch.manual_seed(0)

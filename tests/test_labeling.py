@@ -196,7 +196,7 @@ def test_a_strand_is_read_as_it_is_alone() -> None:
 
 def test_no_strands_at_all() -> None:
     found = lower_signals(np.empty((0, 3)), np.array([0]))
-    assert found.values.shape == (0, CELLS, 3)
+    assert found.values.shape == (0, CELLS, 5)
     assert [len(getattr(found, name)) for name in ("reading", "length", "part")] == [0, 0, 0]
 
 

@@ -35,6 +35,7 @@ from detangled_training.variants import (
     VariantOptions,
     _frames,
     _local,
+    bent,
     bodies,
     draw_fibres,
     make_variants,
@@ -47,7 +48,7 @@ SEED = 1
 PLAIN, HUNG = VariantOptions(), VariantOptions(hung=2)
 COLUMNS = {
     *("radius", "wavelength", "position", "base", "kind", "twist", "twists", "length", "hand", "turns"),
-    *("variant", "stretched", "read", "points_per_turn", "noise", *FIBRE_COLUMNS),
+    *("variant", "stretched", "read", "laid", "points_per_turn", "noise", "world", *FIBRE_COLUMNS),
 }
 SOMETIMES = {"points_per_turn", "noise", *FIBRE_COLUMNS}  # NaN where nothing was done that they tell of
 # Centrelines of twisted and of short strands are off by some percent, winding by a turn's part.
@@ -208,9 +209,59 @@ def test_what_was_read_says_how_and_the_rest_says_nothing(made: tuple[VariantOpt
     np.testing.assert_array_equal(columns["position"][read, 1], 1.0)
 
 
-def test_a_share_of_strands_is_read() -> None:
-    every = make_variants(0, 16, SEED, VariantOptions(read_share=1.0))[1]
-    assert 10 <= every["read"].sum() <= 16
+def test_a_share_of_strands_is_read_half_of_them_laid_straight() -> None:
+    values, columns = make_variants(0, 32, SEED, VariantOptions(read_share=1.0))
+    read, laid = columns["read"], columns["laid"]
+    assert 20 <= read.sum() <= 32
+    assert not laid[~read].any()
+    assert 0.2 < laid[read].mean() < 0.8
+    # What lies as retextured hair does is in the world what it is in canonical space, but for its style.
+    off = np.abs(np.median(columns["world"][:, :, 0], axis=1) / np.median(values[:, :, 0], axis=1) - 1.0)
+    curls = read & (columns["kind"] >= 4)
+    assert np.median(off[curls & laid]) < 0.5 * np.median(off[curls & ~laid])
+
+
+def test_the_world_says_what_a_strand_was_made_as(plain: Made) -> None:
+    """Between twists a strand is a helix as it was constructed; straightening it has stretched that."""
+    values, columns = plain
+    curls = (columns["kind"] >= 4) & ~columns["read"]
+    off = []
+    for signals in (values, columns["world"]):
+        lower = signals[curls][:, values.shape[1] // 3 :].astype(np.float64)
+        kappa, tau = lower[:, :, 0], np.abs(lower[:, :, 1])
+        total = kappa**2 + tau**2
+        radius, wavelength = np.median(kappa / total, axis=1), np.median(2.0 * np.pi * tau / total, axis=1)
+        of = columns["radius"][curls], columns["wavelength"][curls]
+        off.append([np.median(np.abs(x / y - 1.0)) for x, y in zip((radius, wavelength), of, strict=True)])
+    assert max(off[1]) < 0.02
+    assert max(off[1]) < 0.5 * min(off[0])
+
+
+def test_a_style_bends_strands_and_keeps_their_arcs() -> None:
+    across = np.zeros((200, 3))
+    across[:, 0] = np.linspace(0.0, 20.0, 200)
+    offsets = np.array([0, 200, 320])
+    points = np.concatenate([across, np.linspace([5.0, 1.0, 0.0], [5.0, 1.0, 12.0], 120)])
+    style = np.zeros((2, 2, 3))
+    style[0, 1, 0], style[1, 0, 0] = 0.1, -0.2  # about y, about x
+    out = bent(points, offsets, style)
+    for (a, b), rate in zip(pairwise(offsets), (0.1, 0.2), strict=True):
+        np.testing.assert_allclose(out[a], points[a], atol=1e-12)
+        steps, before = np.diff(out[a:b], axis=0), np.diff(points[a:b], axis=0)
+        np.testing.assert_allclose(np.linalg.norm(steps, axis=1), np.linalg.norm(before, axis=1), rtol=1e-9)
+        turned = np.arccos(
+            np.clip((steps[0] @ steps[-1]) / (np.linalg.norm(steps[0]) * np.linalg.norm(steps[-1])), -1, 1)
+        )
+        along = np.linalg.norm(before, axis=1).sum() - np.linalg.norm(before[0])
+        assert turned == pytest.approx(rate * along, rel=1e-6)
+    np.testing.assert_allclose(bent(points, offsets, np.zeros((2, 2, 3))), points, atol=1e-12)
+    # A style that would wind hair up is weakened.
+    wild = bent(points, offsets, 100.0 * style)
+    assert np.isfinite(wild).all()
+    first, last = wild[1] - wild[0], wild[199] - wild[198]
+    assert np.arccos(first @ last / (np.linalg.norm(first) * np.linalg.norm(last))) == pytest.approx(
+        2.0 * np.pi - variants.MOST_BENT, rel=0.02
+    )
 
 
 # ---- labels of strands as constructed

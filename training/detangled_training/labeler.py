@@ -84,11 +84,10 @@ class Labeler(nn.Module):
         """
         if signals.shape[2] == 3:
             signals = in_canonical_space(signals)
-        twist = self.twist(signals)
-        return self.knowing(signals, twist)
+        return self.knowing(signals, self.twist(signals))
 
     def knowing(self, signals: Tensor, twist: Tensor) -> Labels:
-        """Labels of signals whose twist prevalence (B,) is known."""
+        """Labels of signals (B, CELLS, 5) whose twist prevalence (B,) is known."""
         kappa, tau = self.helix(signals, twist, self.low_pass)
         total = kappa**2 + tau**2
         return Labels(kappa / total, 2.0 * math.pi * tau / total, twist, kappa, tau)
@@ -148,7 +147,7 @@ class HelixNetwork(nn.Module):
         weighted = tau * bend.weight
         low = undisturbed(tau, low_pass)
         clear = _weight(_size(tau - low, tau))
-        world = signals[:, :, 3:].unbind(dim=2)
+        world = signals[:, :, 3], signals[:, :, 4]
         world_low = [undisturbed(x, low_pass) for x in world]
         world_clear = [_weight(_size(x - own, x)) for x, own in zip(world, world_low, strict=True)]
         scale = bend.kappa[:, None]

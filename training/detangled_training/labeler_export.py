@@ -133,9 +133,10 @@ def random_signals(count: int, seed: int = 0) -> NDArray[np.float32]:
 
 
 def with_world(count: int, seed: int = 0) -> NDArray[np.float32]:
-    """Random signals (B, CELLS, 5) of strands that lie otherwise in the world."""
-    world = random_signals(count, seed + 1)[:, :, :WORLD]
-    return np.concatenate([random_signals(count, seed), world], axis=2)
+    """Random signals (B, CELLS, 5) of strands that lie somewhat otherwise in the world."""
+    signals = random_signals(count, seed)
+    stretched = np.exp(0.3 * np.random.default_rng(seed + 1).standard_normal((count, CELLS, WORLD)))
+    return np.concatenate([signals, signals[:, :, :WORLD] * stretched.astype(np.float32)], axis=2)
 
 
 def _translated(

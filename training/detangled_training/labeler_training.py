@@ -36,7 +36,7 @@ COLUMNS = ("base", "kind", "radius", "wavelength", "twists", "length", "read", "
 LEAST_RATE = 0.01  # of the learning rate, at the end of each stage
 SECOND_RATE = 0.5  # of the learning rate, where a network is trained again
 CLIP = 1.0
-LAID = 1 / 3  # of strands are shown as if they lay in the world as they do in canonical space
+LAID = 0.5  # of strands are shown as if they lay in the world as they do in canonical space
 TWIST_KNEE, LOGARITHM_KNEE = 0.05, 0.1  # errors beyond count no longer by their square
 # Errors of radii count in parts of them, but below so many cm nobody can tell.
 LEAST_RADIUS = 0.02
