@@ -13,6 +13,7 @@ from __future__ import annotations
 
 from collections.abc import Iterator
 from dataclasses import dataclass, replace
+from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
@@ -192,21 +193,16 @@ def bent(points: NDArray[np.float64], offsets: NDArray[np.int64], style: NDArray
     style: (S, 2, 3) [1/cm] how fast segments turn along the arc about either of two axes: a constant rate, half a wave
     and a whole one from root to tip. Rates are lowered where that would be more than MOST_BENT.
     """
-    counts = np.diff(offsets)
-    segments = np.diff(points, axis=0)
-    lengths = np.linalg.norm(segments, axis=1)
-    arc = np.concatenate([[0.0], np.cumsum(lengths)])
-    total = arc[offsets[1:] - 1] - arc[offsets[:-1]]
-    strand = np.repeat(np.arange(len(counts)), counts)
-    share = (arc - arc[offsets[:-1]][strand]) / total[strand]
-    waves = np.stack([share, np.sin(np.pi * share) / np.pi, np.sin(2.0 * np.pi * share) / (2.0 * np.pi)], axis=1)
-    fastest = np.abs(style).max(axis=(1, 2)) * total
-    angles = style * (total * np.minimum(1.0, MOST_BENT / np.maximum(fastest, 1e-12)))[:, None, None]
-    turn = Rotation.from_euler("xy", np.einsum("pk,pjk->pj", waves, angles[strand]))
-    steps = np.concatenate([np.zeros((1, 3)), turn[1:].apply(segments)])
-    out = np.cumsum(steps, axis=0)
-    # Each strand begins where it did.
-    return out + (points - out)[offsets[:-1]][strand]
+    out = points.copy()
+    for (a, b), rates in zip(pairwise(offsets), style, strict=True):
+        segments = np.diff(points[a:b], axis=0)
+        arc = np.cumsum(np.linalg.norm(segments, axis=1))
+        share = arc / arc[-1]
+        waves = np.stack([share, np.sin(np.pi * share) / np.pi, np.sin(2.0 * np.pi * share) / (2.0 * np.pi)])
+        angles = rates * min(arc[-1], MOST_BENT / max(np.abs(rates).max(), 1e-12))
+        turn = Rotation.from_euler("xy", (angles @ waves).T)
+        out[a + 1 : b] = points[a] + np.cumsum(turn.apply(segments), axis=0)
+    return out
 
 
 @dataclass(frozen=True)
