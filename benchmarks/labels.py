@@ -29,9 +29,9 @@ from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.labeling import LabelGradient, LabelNetwork, Labels, Reading, label
 from detangled.models import DENOISER, LABELER_GRADIENT, load_labeler, load_model
-from detangled.texture import HAIR_TYPES, TWISTS_PER_CM, arc_of_a_turn
+from detangled.texture import HAIR_TYPES, arc_of_a_turn
 from detangled_training.signals import margins, straightened
-from detangled_training.strands import draw_recipes, make_strands, procedural_strands
+from detangled_training.strands import draw_recipes, make_strands, procedural_strands, twist_prevalence
 from detangled_training.variants import VariantOptions, bodies, make_variants
 
 GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parents[2] / "shared" / "grooms"))
@@ -73,7 +73,7 @@ def errors(
 ) -> bool:
     """Errors by type, and over all with their bounds."""
     values, columns = make_variants(0, count, seed, options)
-    wanted = columns["twists"] / (TWISTS_PER_CM * columns["length"])
+    wanted = twist_prevalence(columns["twists"], columns["length"])
 
     def errors_of(signals: NDArray[np.float32]) -> tuple[NDArray[np.float64], ...]:
         radius, wavelength, twist = network(signals.astype(np.float64)).T

@@ -40,8 +40,9 @@ from detangled.grooming.placing import resample
 from detangled.library import load_library
 from detangled.models import LIBRARY as LIBRARY_MODEL
 from detangled.models import verified
-from detangled.texture import TWISTS_PER_CM, arc_of_a_turn
+from detangled.texture import arc_of_a_turn
 from detangled_training.dataset import TEST, read_dataset
+from detangled_training.strands import twist_prevalence
 
 NNA_BOUNDS = (0.45, 0.65)
 W1_BOUND = 1.5  # of the floor's
@@ -149,7 +150,7 @@ def real_strands(folder: Path, count: int, seed: int) -> tuple[Measured, Measure
     wanted = Wanted(
         labels["radius"][second],
         labels["wavelength"][second],
-        np.clip(labels["twists"][second] / (TWISTS_PER_CM * labels["length"][second]), 0.0, 1.0),
+        twist_prevalence(labels["twists"], labels["length"])[second],
         values[:, 2].reshape(len(rows), CELLS).mean(axis=1)[count:],
     )
     return found.select(np.arange(count)), found.select(np.arange(count, 2 * count)), wanted

@@ -27,7 +27,6 @@ from detangled.diffusion.schedule import CosineSchedule
 from detangled.diffusion.whitening import Whitening
 from detangled.errors import ModelError, ReadError
 from detangled.models import DENOISER, Model, load_model
-from detangled.texture import TWISTS_PER_CM
 from detangled_training.checkpoint import (
     CHECKPOINT,
     Checkpoint,
@@ -41,6 +40,7 @@ from detangled_training.parameters import Optimizer, flatten, flatten_tensors, l
 from detangled_training.processes import Processes
 from detangled_training.provenance import commit, make_folder
 from detangled_training.signals import pooled_whitening
+from detangled_training.strands import twist_prevalence
 from detangled_training.unet import CONDITIONS, Architecture, UNet
 
 WHITENED_BY = 4000  # signals that the whitening is taken from
@@ -110,7 +110,7 @@ class Samples:
         for one in data:
             labels = one.labels
             lengths = one.signals[:, :, 2].mean(axis=1)
-            twist = np.clip(labels["twists"] / (TWISTS_PER_CM * labels["length"]), 0.0, 1.0)
+            twist = twist_prevalence(labels["twists"], labels["length"])
             sizes = [np.log(labels["radius"]), np.log(labels["wavelength"]), twist, np.log(lengths)]
             asked = np.stack([*sizes, labels["variant"] >= 0], axis=1)
             kept = ~labels["read"]

@@ -21,12 +21,12 @@ from torch import Tensor, nn
 from torch.nn import functional
 
 from detangled.errors import ModelError, ReadError, WriteError
-from detangled.texture import HAIR_TYPES, TWISTS_PER_CM
+from detangled.texture import HAIR_TYPES
 from detangled_training.dataset import SPLIT_NAMES, TEST, TRAIN, VALIDATION, Dataset, read_dataset
 from detangled_training.labeler import Labeler, LabelerSizes, in_canonical_space
 from detangled_training.processes import Processes
 from detangled_training.provenance import commit, make_folder
-from detangled_training.strands import UNTYPED
+from detangled_training.strands import UNTYPED, twist_prevalence
 
 CHECKPOINT = "labelers.pt"
 NAMES = {False: "procedural", True: "simulated"}  # of data sets
@@ -72,9 +72,8 @@ class Examples:
 
     @classmethod
     def of(cls, data: Dataset) -> Examples:
-        """Twist prevalence is that of the twists a strand has, not the one that was asked for."""
         labels = data.labels
-        twist = np.clip(labels["twists"] / (TWISTS_PER_CM * labels["length"]), 0.0, 1.0)
+        twist = twist_prevalence(labels["twists"], labels["length"])
         radius, wavelength = (labels[name].astype(np.float32) for name in ("radius", "wavelength"))
         return cls(
             np.concatenate([data.signals, labels["world"]], axis=2),

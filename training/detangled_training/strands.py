@@ -425,3 +425,8 @@ def _make(
         a = twist_offsets[s]
         b = twist_offsets[s + 1]
         _twist(strand, at[a:b], angle[a:b])
+
+
+def twist_prevalence(twists: NDArray[np.int64], length: NDArray[np.float64]) -> NDArray[np.float64]:
+    """T_f (S,) of strands by the twists that they have, not those asked for, and their arc lengths [cm]."""
+    return np.clip(twists / (TWISTS_PER_CM * length), 0.0, 1.0)
