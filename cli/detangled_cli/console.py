@@ -10,6 +10,8 @@ from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
 
+from detangled_cli.option_values import UNIT
+
 # A bar for what is over at once would only flicker.
 BAR_DELAY_S = 1.0
 
@@ -78,23 +80,6 @@ def announce_first_run(last_kernel: str) -> None:
         note("compiling kernels: this first run takes about a minute longer, later ones do not")
 
 
-class UnitType(click.ParamType):
-    """A unit of length by its name; the names are detangled.units', loaded when one is given."""
-
-    name = "unit"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from detangled.errors import ReadError
-        from detangled.units import cm_per_unit
-
-        try:
-            cm_per_unit(str(value))
-        except ReadError as error:
-            self.fail(str(error), param, ctx)
-        return str(value)
-
-
-UNIT = UnitType()
 UNIT_NAMES = "mm, cm, dm, m or in"
 
 
@@ -107,6 +92,15 @@ def input_argument(command: Command) -> Command:
 def output_argument(command: Command) -> Command:
     """The argument OUT, a path, as ``target``."""
     return click.argument("target", metavar="OUT", type=click.Path(path_type=Path))(command)
+
+
+def check_apart(path: Path | None, *others: Path | None) -> None:
+    """Raise UsageError where a file to write is one of some others: inputs that would be lost, or other outputs."""
+    for other in others:
+        if path is None or other is None:
+            continue
+        if path.resolve() == other.resolve() or (path.exists() and other.exists() and path.samefile(other)):
+            raise click.UsageError(f"{path} is an input or another output already: name another file")
 
 
 def quiet_option(command: Command) -> Command:

@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from detangled_cli.console import (
-    UNIT,
     UNIT_NAMES,
     announce_first_run,
     input_argument,
@@ -18,6 +17,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.option_values import UNIT
 from detangled_cli.presets import check_preset, needs_kernels, preset_option, written
 
 AXIS = click.Choice(["x", "y", "z"])

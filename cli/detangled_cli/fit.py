@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from detangled_cli.console import announce_first_run, quiet_option, threads_option, unit_option
+from detangled_cli.console import announce_first_run, check_apart, quiet_option, threads_option, unit_option
 from detangled_cli.targets import fitting_option
 
 
@@ -54,6 +54,7 @@ def command(
     from detangled.kernels import set_threads
     from detangled_cli.targets import fitted_texture
 
+    check_apart(target, source)
     if target.suffix != SUFFIX:
         raise WriteError(f"{target}: a fitted texture is written as {SUFFIX}")
     check_folder(target)

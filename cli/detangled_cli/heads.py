@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from detangled_cli.console import UNIT, UNIT_NAMES, Command, announce_first_run, warn
+from detangled_cli.console import UNIT_NAMES, Command, announce_first_run, warn
+from detangled_cli.option_values import UNIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from detangled.errors import DetangledError
 from detangled_cli.console import (
     announce_first_run,
+    check_apart,
     file_names,
     note,
     progress_bar,
@@ -23,9 +23,11 @@ from detangled_cli.console import (
     warn,
 )
 from detangled_cli.heads import check_head_options, head_of, head_options
+from detangled_cli.option_values import COLOUR, FiniteRange
 
 if TYPE_CHECKING:
     from detangled.groom import Groom
+    from detangled.view.colours import Colour
     from detangled.view.picture import Picture, Style
 
 VIEWS = ("front", "side", "back", "top", "34")
@@ -53,7 +55,7 @@ class ExtraMissing(click.ClickException):
 )
 @click.option(
     "--zoom",
-    type=click.FloatRange(0.1, 100.0),
+    type=FiniteRange(0.1, 100.0),
     default=1.0,
     metavar="F",
     help="Enlarge the middle of the picture this many times.",
@@ -69,6 +71,7 @@ class ExtraMissing(click.ClickException):
 @click.option(
     "--colour",
     "--color",
+    type=COLOUR,
     metavar="C",
     help="Hair colour: black, darkbrown, brown, lightbrown, auburn, red, blond, platinum, grey, white, #rrggbb, or "
     "amounts of eumelanin/pheomelanin such as 1.3 or 0.3/0.8.",
@@ -120,7 +123,7 @@ def command(
     view: str,
     zoom: float,
     size: int,
-    colour: str | None,
+    colour: Colour | None,
     colour_by: str,
     captions: tuple[str, ...],
     frames: int | None,
@@ -151,6 +154,7 @@ def command(
     if colour is not None and colour_by != "none":
         raise click.UsageError("--colour and --colour-by do not go together: name one")
     check_head_options(head_source, head_unit, head_group)
+    check_apart(target, head_source, *sources)
 
     from detangled.formats import read
     from detangled.kernels import set_threads
@@ -200,14 +204,9 @@ def _need_mitsuba() -> None:
         raise ExtraMissing(str(error)) from error
 
 
-def _coloured(style: Style, grooms: list[Groom], colour: str | None, by: str) -> Style:
+def _coloured(style: Style, grooms: list[Groom], colour: Colour | None, by: str) -> Style:
     if colour is not None:
-        from detangled.view.colours import hair_colour
-
-        try:
-            return replace(style, look=replace(style.look, hair=hair_colour(colour)))
-        except DetangledError as error:
-            raise click.UsageError(f"--colour: {error}") from error
+        return replace(style, look=replace(style.look, hair=colour))
     if by == "none":
         return style
     from detangled.view.colouring import strand_colours

@@ -12,6 +12,7 @@ import click
 
 from detangled.errors import WriteError
 from detangled_cli.console import announce_first_run, hush, note, progress_bar, quiet_option, threads_option
+from detangled_cli.option_values import SHARE, FiniteRange
 
 if TYPE_CHECKING:
     from detangled_training.denoiser_training import Training, TrainingOptions
@@ -73,7 +74,7 @@ def command(ctx: click.Context) -> None:
 @click.option("--batch", type=NUMBER, metavar="N", help="Strands of a step, shared by all processes. Default: 32.")
 @click.option(
     "--learning-rate",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     metavar="X",
     help="The highest: it rises at first, then falls. Default: 0.0004.",
 )
@@ -229,7 +230,7 @@ def export(source: Path, folder: Path, threads: int | None) -> None:
 @click.option("--count", type=NUMBER, required=True, metavar="N", help="Base strands, of all hair types alike.")
 @click.option(
     "--untyped",
-    type=click.FloatRange(0.0, 1.0),
+    type=SHARE,
     default=UNTYPED,
     metavar="SHARE",
     help=f"Share of strands of no type, their numbers drawn without regard to each other. Default: {UNTYPED}.",

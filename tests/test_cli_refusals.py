@@ -1,0 +1,74 @@
+"""What the command line refuses before it reads a file: files that would be lost, and values that are none."""
+
+from __future__ import annotations
+
+from pathlib import Path
+
+import pytest
+from click.testing import CliRunner
+
+from detangled_cli.main import detangled
+
+FILES = ("in.abc", "strands.obj", "head.obj", "old.texture")
+
+
+@pytest.fixture
+def folder(tmp_path: Path, monkeypatch: pytest.MonkeyPatch) -> Path:
+    """Files that nothing could read, and links to them under the suffixes of other outputs."""
+    for name in FILES:
+        (tmp_path / name).write_text(name)
+    for name in ("in.png", "in.csv", "in.html", "in.texture"):
+        (tmp_path / name).symlink_to(tmp_path / "in.abc")
+    monkeypatch.chdir(tmp_path)
+    return tmp_path
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "retexture in.abc strands.obj --target strands.obj",
+        "retexture in.abc ./head.obj --type 4A --head head.obj",
+        "retexture in.abc out.abc --target in.png --preview in.png",
+        "retexture in.abc out.abc --type 4A --preview in.png",
+        "retexture in.abc out.abc --target strands.obj --report strands.obj",
+        "retexture in.abc out.abc --type 4A --report out.abc",
+        "retexture in.abc out.abc --type 4A --preview same.png --report ../{folder}/same.png",
+        "generate strands.obj --target strands.obj",
+        "hairs in.abc head.obj --head head.obj",
+        "fit in.abc in.texture",
+        "view in.abc in.html",
+        "view strands.obj --after in.abc in.html",
+        "render strands.obj in.abc in.png",
+        "render strands.obj in.png --head in.abc",
+        "label in.abc --per-strand in.csv",
+    ],
+)
+def test_no_output_replaces_an_input_or_another_output(folder: Path, line: str) -> None:
+    done = CliRunner().invoke(detangled, line.format(folder=folder.name).split())
+    assert done.exit_code == 2, done.stderr
+    assert "is an input or another output already: name another file" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert all((folder / name).read_text() == name for name in FILES)
+
+
+@pytest.mark.parametrize(
+    ("line", "words"),
+    [
+        ("label --explain 9Z", "unknown hair type '9Z'"),
+        ("info none.abc --unit parsec", "--unit: unknown unit 'parsec'"),
+        ("convert none.abc out.abc --out-unit 0mm", "--out-unit: unknown unit '0mm'"),
+        ("retexture none.abc out.abc --type 4A --density some", "auto, keep or a number above zero"),
+        ("generate out.abc --type 4A --count some", "--count"),
+        ("hairs none.abc out.abc --variation nan", "'--variation': 'nan' is no finite number"),
+        ("render none.abc out.png --colour purple", "--colour: 'purple' is not a hair colour"),
+        ("render none.abc out.png --color 1/2/3", "--colour: '1/2/3' is not a hair colour"),
+        ("render none.abc out.png --zoom nan", "'--zoom': 'nan' is no finite number"),
+        ("train denoiser out --data none --learning-rate inf", "'--learning-rate': 'inf' is no finite number"),
+        ("train data --out out --count 5 --untyped nan", "'--untyped': 'nan' is no finite number"),
+    ],
+)
+def test_a_value_that_is_none_is_wrong_usage_before_anything_is_read(folder: Path, line: str, words: str) -> None:
+    done = CliRunner().invoke(detangled, line.split())
+    assert done.exit_code == 2, done.stderr
+    assert words in done.stderr
+    assert len(done.stderr.splitlines()) == 1
