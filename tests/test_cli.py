@@ -387,6 +387,13 @@ def test_describe_leaves_bad_strands_out_of_the_lengths() -> None:
     json.dumps(facts, allow_nan=False)
 
 
+def test_describe_measures_strands_too_long_for_hair_and_counts_them_as_unusable() -> None:
+    facts = describe(Groom.from_strands([[[0, 0, 0], [0, 0, -20]], [[0, 0, 0], [0, 0, -3000]]]))
+    assert facts["unusable_strands"] == 1
+    assert facts["length_cm"] == {"min": 20.0, "median": 1510.0, "max": 3000.0}
+    assert "1 (not finite, fewer than two distinct points, or longer than 20 m)" in as_text({"file": "a.abc", **facts})
+
+
 def test_describe_a_groom_without_strands() -> None:
     facts = describe(Groom.from_strands([]))
     assert facts["length_cm"] is facts["box_cm"] is facts["points_per_strand"] is None

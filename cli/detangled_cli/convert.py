@@ -56,7 +56,8 @@ def command(
     from detangled.formats import check_writable
     from detangled.formats.frames import holds_frames, read_frames
     from detangled.units import cm_per_unit, unit_name
-    from detangled_cli.info import UNUSABLE, usable_strands
+    from detangled.usable import usable_strands
+    from detangled_cli.info import UNUSABLE
 
     if preset is not None and (out_unit is not None or up is not None):
         raise click.UsageError(f"--preset {preset} decides unit and up axis of OUT: leave out --out-unit and --up")

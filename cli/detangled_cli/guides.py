@@ -31,8 +31,9 @@ def command(source: Path, target: Path, unit: str | None, threads: int | None) -
       detangled guides curly.abc guides.abc
     """
     from detangled.formats import check_writable, read, write
-    from detangled.grooming.guides import guides_groom, usable_strands
+    from detangled.grooming.guides import guides_groom
     from detangled.kernels import set_threads
+    from detangled.usable import usable_strands
 
     check_writable(target)
     groom = read(source, unit=unit)

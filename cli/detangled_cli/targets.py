@@ -179,7 +179,7 @@ def fitted_texture(
             )
     else:
         from detangled.formats import read
-        from detangled.grooming.guides import usable_strands
+        from detangled.usable import usable_strands
 
         strands = read(target, unit=unit)
         for sentence in strands.notes:

@@ -21,11 +21,12 @@ from detangled.geometry.arc import arc_lengths
 from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
 from detangled.groom import Groom, offsets_of
-from detangled.grooming.guides import style_guides, usable_strands
+from detangled.grooming.guides import style_guides
 from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
 from detangled.synthesis import synthesise
+from detangled.usable import usable_strands
 
 POINTS_PER_TURN = 16  # of a new strand, and of targets before they are measured
 COARSE_CELLS = 512  # of a strand whose turns are only to be counted

@@ -17,10 +17,11 @@ from detangled.formats import objects
 from detangled.formats.frames import Frames
 from detangled.groom import Groom
 from detangled.grooming.fewer_points import FewerPoints, fewer_points, points_at
-from detangled.grooming.guides import attributes_at, usable_strands
+from detangled.grooming.guides import attributes_at
 from detangled.presets import unreal
 from detangled.presets.sizes import mixed_units
 from detangled.units import cm_per_unit, unit_name
+from detangled.usable import usable_strands
 
 # With fewer points a turn than this a curl becomes a zigzag: an octagon still misses its circle by 8 % of the radius.
 LEAST_A_TURN = 8.0
