@@ -19,7 +19,7 @@ from detangled_cli.console import (
     threads_option,
     warn,
 )
-from detangled_cli.option_values import LENGTH
+from detangled_cli.option_values import LENGTH, wrong_usage
 from detangled_cli.targets import fibre_attributes, texture_options, wanted
 
 
@@ -58,14 +58,16 @@ def command(
       detangled generate waves.obj --radius 8mm --wavelength 4cm --twist 0.1
     """
     from detangled.formats import check_writable, write
-    from detangled.generation import generate, side_by_side
+    from detangled.generation import check_lengths, generate, side_by_side
     from detangled.kernels import set_threads
 
     began = time.perf_counter()
+    with wrong_usage("--length"):
+        check_lengths(length)
     asked_for = wanted(**texture_asked)
     check_apart(target, asked_for.source)
     check_writable(target)
-    announce_first_run("placing.resample")
+    announce_first_run("detangled.grooming.placing.resample")
     set_threads(threads)
     texture = asked_for.texture(seed)
     with progress_bar("strands", count) as bar:

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
+from detangled.engines import engine_of
 from detangled.errors import ReadError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
@@ -128,16 +129,17 @@ def retexture(
     reached = np.ones(len(guides.kept))
     per_turn = np.full(len(guides.kept), float(POINTS_PER_TURN))
     # Strands on grids of one size are made together.
+    engine = engine_of(texture)
     order = np.argsort(texture.grid_cells(arcs), kind="stable")
     for first in range(0, len(order), CHUNK):
         members = np.sort(order[first : first + CHUNK])
         names = guides.kept[members]
-        values, starts = synthesise(texture, arcs[members], names, options.seed, options.steps, progress)
+        values, starts = synthesise(texture, arcs[members], names, options.seed, options.steps, progress, engine)
         here = seats.select(members)
+        drawn = canonical_of(values, starts, here)
         if texture.settling is not None:
-            drawn = canonical_of(values, starts, here)
             here = replace(here, sizes=texture.settling.sizes(*drawn, read[members]))
-        made = strands_on_guides(values, starts, here, options.length)
+        made = strands_on_guides(values, starts, drawn, here, options.length)
         reached[members] = made.reached
         needed = _points_needed(texture, made.points, made.offsets)
         counts = np.maximum(needed, guides.groom.point_counts[members])
