@@ -346,8 +346,8 @@ def test_first_run_is_announced_once(verb: Any, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "detangled.kernels", kernels)
 
     def twice() -> None:
-        console.announce_first_run("placing.resample")
-        console.announce_first_run("placing.resample")
+        console.announce_first_run("detangled.grooming.placing.resample")
+        console.announce_first_run("detangled.grooming.placing.resample")
 
     verb(twice)
     assert invoke("act").stderr.count("compiling kernels") == 1

@@ -68,7 +68,7 @@ def progress_bar(label: str, total: int | None = None) -> Iterator[tqdm[Any]]:
 def announce_first_run(last_kernel: str) -> None:
     """Say once, before kernels are used, that they are about to be compiled, if they are.
 
-    last_kernel: ``module.function`` of a kernel that the verb compiles last.
+    last_kernel: ``package.module.function`` of a kernel that the verb compiles last.
     """
     shared = _shared()
     if shared.get(_ANNOUNCED):

@@ -79,7 +79,7 @@ def command(
         from detangled.presets import prepared_frames
 
         if needs_kernels(groom, preset):
-            announce_first_run("fewer_points._points_at")
+            announce_first_run("detangled.grooming.fewer_points._points_at")
         frames, sentences = prepared_frames(frames, preset, target.suffix.lower())
         groom = frames.groom
         for sentence in sentences:

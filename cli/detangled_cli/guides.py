@@ -39,7 +39,7 @@ def command(source: Path, target: Path, unit: str | None, threads: int | None) -
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
-    announce_first_run("centerline._centerlines")
+    announce_first_run("detangled.geometry.centerline._centerlines")
     set_threads(threads)
     unusable = groom.strand_count - int(usable_strands(groom).sum())
     if unusable:

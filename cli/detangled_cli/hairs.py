@@ -130,7 +130,7 @@ def command(
         warn(f"{source}: {sentence}")
     set_threads(threads)
     mesh = head_of(groom, head_source, head_unit, head_group)
-    announce_first_run("hair_laying.laid")
+    announce_first_run("detangled.grooming.hair_laying.laid")
     with progress_bar("hairs", count) as bar:
         result = render_hairs(groom, options, mesh, bar.update)
     for sentence in [*result.notes, *result.lost]:

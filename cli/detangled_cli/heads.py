@@ -61,7 +61,7 @@ def head_of(groom: Groom, source: Path | None, unit: str | None, group: str | No
     from detangled.formats.meshes import read_head
     from detangled.grooming.head_fit import fitted_to
 
-    announce_first_run("placing.resample")
+    announce_first_run("detangled.grooming.placing.resample")
     try:
         head = fitted_to(read_head(source, unit=unit, group=group), groom)
     except ReadError as error:

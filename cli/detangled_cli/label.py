@@ -109,7 +109,7 @@ def command(
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
-    announce_first_run("labeling.points_per_turn")
+    announce_first_run("detangled.labeling.points_per_turn")
     set_threads(threads)
     with progress_bar("strands", groom.strand_count) as bar:
         labels = label(groom, bar.update)

@@ -156,7 +156,7 @@ def command(
             warn(f"{source}: {sentence}")
         head = head_of(groom, head_source, head_unit, head_group)
     groom = replace(groom, attributes={**groom.attributes, **fibre_attributes(thickness, porosity)})
-    announce_first_run("placing.resample")
+    announce_first_run("detangled.grooming.placing.resample")
     with stages.stage("texture"):
         texture = asked_for.texture(seed)
     options = Options(

@@ -258,7 +258,7 @@ def data(
     from detangled_training.variants import VariantOptions
 
     options = VariantOptions(hung=(variants or VARIANTS) if simulated else 0, untyped=untyped)
-    announce_first_run("resting.hang_all" if simulated else "winding.winding")
+    announce_first_run("detangled_training.resting.hang_all" if simulated else "detangled.geometry.winding.winding")
     began = time.monotonic()
     try:
         with progress_bar("strands", count) as bar:
@@ -295,7 +295,7 @@ def library(folder: Path, count: int, seed: int, threads: int | None) -> None:
     from detangled.kernels import set_threads
     from detangled_training.library import write_library
 
-    announce_first_run("resting.hang_all")
+    announce_first_run("detangled_training.resting.hang_all")
     set_threads(threads)
     with progress_bar("strands", count) as bar:
         path, strands = write_library(folder, count, seed, bar.update)

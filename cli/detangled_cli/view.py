@@ -105,7 +105,7 @@ def _shown(groom: Groom, name: str, no_labels: bool) -> Shown:
     from detangled.labeling import label
     from detangled_cli.label_summary import is_readable, summary, why_unread
 
-    announce_first_run("labeling.points_per_turn")
+    announce_first_run("detangled.labeling.points_per_turn")
     with progress_bar(f"labels of {name}", groom.strand_count) as bar:
         labels = label(groom, bar.update)
     facts: dict[str, Any] = summary(labels)
