@@ -59,12 +59,17 @@ def test_no_output_replaces_an_input_or_another_output(folder: Path, line: str) 
         ("convert none.abc out.abc --out-unit 0mm", "--out-unit: unknown unit '0mm'"),
         ("retexture none.abc out.abc --type 4A --density some", "auto, keep or a number above zero"),
         ("generate out.abc --type 4A --count some", "--count"),
+        ("generate out.abc --type 4A --length 21m", "--length: a strand is made 0.1 to 2000 cm long"),
         ("hairs none.abc out.abc --variation nan", "'--variation': 'nan' is no finite number"),
         ("render none.abc out.png --colour purple", "--colour: 'purple' is not a hair colour"),
         ("render none.abc out.png --color 1/2/3", "--colour: '1/2/3' is not a hair colour"),
         ("render none.abc out.png --zoom nan", "'--zoom': 'nan' is no finite number"),
         ("train denoiser out --data none --learning-rate inf", "'--learning-rate': 'inf' is no finite number"),
         ("train data --out out --count 5 --untyped nan", "'--untyped': 'nan' is no finite number"),
+        ("fit none.obj out.texture --seed 3", "--seed and --training-steps go with --method finetune"),
+        ("fit none.obj out.texture --method patches --training-steps 9", "go with --method finetune"),
+        ("fit old.texture out.texture", "old.texture is learned already"),
+        ("render none.abc out.png --samples 9", "--samples goes with --quality path"),
     ],
 )
 def test_a_value_that_is_none_is_wrong_usage_before_anything_is_read(folder: Path, line: str, words: str) -> None:

@@ -34,6 +34,7 @@ VIEWS = ("front", "side", "back", "top", "34")
 COLOUR_BY = ("radius", "wavelength", "twist", "guide", "none")
 LARGEST_PANEL_PX = 8192
 MOST_FRAMES = 720
+SAMPLES = 64  # paths of a pixel
 WRONG_USAGE = 2
 
 
@@ -107,10 +108,8 @@ class ExtraMissing(click.ClickException):
 @click.option(
     "--samples",
     type=click.IntRange(1, 65536),
-    default=64,
-    show_default=True,
     metavar="N",
-    help="Paths traced for each pixel with --quality path.",
+    help=f"Paths traced for each pixel with --quality path. Default: {SAMPLES}.",
 )
 @unit_option
 @threads_option
@@ -128,7 +127,7 @@ def command(
     captions: tuple[str, ...],
     frames: int | None,
     quality: str,
-    samples: int,
+    samples: int | None,
     unit: str | None,
     threads: int | None,
 ) -> None:
@@ -153,6 +152,9 @@ def command(
         raise click.UsageError(f"{len(sources)} grooms need as many --caption, not {len(captions)}")
     if colour is not None and colour_by != "none":
         raise click.UsageError("--colour and --colour-by do not go together: name one")
+    if samples is not None and quality != "path":
+        raise click.UsageError("--samples goes with --quality path")
+    samples = samples or SAMPLES
     check_head_options(head_source, head_unit, head_group)
     check_apart(target, head_source, *sources)
 
@@ -175,7 +177,7 @@ def command(
     mesh = head_of(grooms[0], head_source, head_unit, head_group)
     style = picture.Style(zoom=zoom, quality=quality, samples=samples)
     style = _coloured(style, grooms, colour, colour_by)
-    announce_first_run("rasteriser.")
+    announce_first_run("detangled.view.rasteriser._colour")
     names = [str(source) for source in sources]
     if frames is None:
         with progress_bar("samples", samples * len(grooms)) if quality == "path" else nullcontext() as bar:
