@@ -4,9 +4,13 @@ from __future__ import annotations
 
 from pathlib import Path
 
+import numpy as np
 import pytest
 from click.testing import CliRunner
 
+from detangled import asked, fitting
+from detangled.formats import write
+from detangled.groom import Groom
 from detangled_cli.main import detangled
 
 FILES = ("in.abc", "strands.obj", "head.obj", "old.texture")
@@ -49,6 +53,33 @@ def test_no_output_replaces_an_input_or_another_output(folder: Path, line: str) 
     assert "is an input or another output already: name another file" in done.stderr
     assert len(done.stderr.splitlines()) == 1
     assert all((folder / name).read_text() == name for name in FILES)
+
+
+@pytest.mark.parametrize(
+    "line",
+    [
+        "guides points.npz out.npz",
+        "hairs points.npz out.npz",
+        "fit points.npz out.texture",
+        "generate out.npz --target points.npz",
+        "retexture points.npz out.npz --target points.npz",
+        "retexture points.npz out.npz --type 4A",
+    ],
+)
+def test_a_groom_without_a_strand_to_use_is_refused_by_name_before_any_work(
+    folder: Path, monkeypatch: pytest.MonkeyPatch, line: str
+) -> None:
+    def worked(*_: object, **__: object) -> None:
+        raise AssertionError("a texture was made for a groom that cannot be used")
+
+    monkeypatch.setattr(asked, "asked_texture", worked)
+    monkeypatch.setattr(fitting, "fit", worked)
+    write(Groom.from_strands([np.zeros((1, 3)), np.full((3, 3), np.nan)]), folder / "points.npz")
+    done = CliRunner().invoke(detangled, [*line.split(), "--quiet"])
+    assert done.exit_code == 3, done.stderr
+    assert "points.npz: none of the 2 strands can be used: each has fewer than two distinct points" in done.stderr
+    assert len(done.stderr.splitlines()) == 1
+    assert not list(folder.glob("out.*"))
 
 
 @pytest.mark.parametrize(

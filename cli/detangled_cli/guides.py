@@ -33,12 +33,13 @@ def command(source: Path, target: Path, unit: str | None, threads: int | None) -
     from detangled.formats import check_writable, read, write
     from detangled.grooming.guides import guides_groom
     from detangled.kernels import set_threads
-    from detangled.usable import usable_strands
+    from detangled.usable import check_usable, usable_strands
 
     check_writable(target)
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
+    check_usable(groom, source)
     announce_first_run("detangled.geometry.centerline._centerlines")
     set_threads(threads)
     unusable = groom.strand_count - int(usable_strands(groom).sum())

@@ -107,6 +107,7 @@ def command(
     from detangled.formats import check_writable, read, write
     from detangled.grooming.render_hairs import HairOptions, render_hairs
     from detangled.kernels import set_threads
+    from detangled.usable import check_usable
 
     began = time.perf_counter()
     check_head_options(head_source, head_unit, head_group)
@@ -128,6 +129,7 @@ def command(
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
+    check_usable(groom, source)
     set_threads(threads)
     mesh = head_of(groom, head_source, head_unit, head_group)
     announce_first_run("detangled.grooming.hair_laying.laid")

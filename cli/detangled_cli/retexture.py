@@ -132,6 +132,7 @@ def command(
     from detangled.kernels import set_threads
     from detangled.presets import prepared_frames
     from detangled.retexturing import Options, retexture
+    from detangled.usable import check_usable
     from detangled.view.picture import check_target
 
     set_threads(threads)
@@ -154,6 +155,7 @@ def command(
         groom = frames.groom
         for sentence in groom.notes:
             warn(f"{source}: {sentence}")
+        check_usable(groom, source)
         head = head_of(groom, head_source, head_unit, head_group)
     groom = replace(groom, attributes={**groom.attributes, **fibre_attributes(thickness, porosity)})
     announce_first_run("detangled.grooming.placing.resample")

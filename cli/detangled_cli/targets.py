@@ -179,11 +179,12 @@ def fitted_texture(
             )
     else:
         from detangled.formats import read
-        from detangled.usable import usable_strands
+        from detangled.usable import check_usable, usable_strands
 
         strands = read(target, unit=unit)
         for sentence in strands.notes:
             warn(f"{target}: {sentence.replace('--unit', unit_option)}")
+        check_usable(strands, target)
         unusable = strands.strand_count - int(usable_strands(strands).sum())
         if unusable:
             warn(f"{target}: {unusable} of {strands.strand_count} strands cannot be used and are left out")

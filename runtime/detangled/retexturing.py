@@ -15,7 +15,6 @@ from numpy.typing import NDArray
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.engines import engine_of
-from detangled.errors import ReadError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
@@ -27,6 +26,7 @@ from detangled.grooming.lengths import Length, Seats, canonical_of, strands_on_g
 from detangled.grooming.placing import resample
 from detangled.head import Head
 from detangled.synthesis import synthesise
+from detangled.usable import check_usable
 
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
@@ -89,12 +89,8 @@ def retexture(
     strands were finished. Raises ReadError where no strand can be used, DetangledError where the density is none.
     """
     options = options or Options()
+    check_usable(groom)
     guides = style_guides(groom)
-    if len(guides.kept) == 0:
-        raise ReadError(
-            f"none of the {groom.strand_count} strands can be used: each has fewer than two distinct points, a "
-            "coordinate that is not finite, or is longer than 20 m (is the unit right?)"
-        )
     keeper = None if options.head is None else Keeper(options.head, groom, texture, options.on_penetration)
     notes: list[str] = []
     lost_here: list[str] = []

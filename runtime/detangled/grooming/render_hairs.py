@@ -28,6 +28,7 @@ from detangled.grooming.scalp_mesh import check_near, places_on
 from detangled.grooming.wisps import Wisps, wisps_of
 from detangled.head import Head
 from detangled.texture import Profile
+from detangled.usable import WHY_UNUSABLE
 
 AXIS_POINTS = 64  # of a hair's smooth axis: the style bends slowly
 MOST_POINTS = 24_000_000  # of all hairs, where no number is asked for: about a gigabyte with all that is made of them
@@ -128,7 +129,7 @@ def render_hairs(
     guides = style_guides(groom)
     usable = len(guides.kept)
     if usable == 0:
-        raise ReadError(f"none of the {groom.strand_count} strands can be a guide: each is a point, or not finite")
+        raise ReadError(f"none of the {groom.strand_count} strands can be a guide: {WHY_UNUSABLE}")
     if options.count < usable:
         raise DetangledError(
             f"{options.count} hairs of {usable} guide strands leave wisps without any: ask for {usable} or more"
