@@ -24,7 +24,7 @@ import numpy as np
 import detangled
 import measures
 from detangled import Groom, Options
-from detangled.asked import DEFAULT_METHOD, METHODS, Asked, asked, asked_texture
+from detangled.from_numbers import DEFAULT_METHOD, METHODS, Asked, asked, asked_texture
 from detangled.geometry.winding import winding
 from detangled.grooming.guides import style_guides
 from detangled.models import LABELER, load_labeler

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.asked import DEFAULT_METHOD, METHODS, Asked, asked, asked_texture
+from detangled.from_numbers import DEFAULT_METHOD, METHODS, Asked, asked, asked_texture
 from detangled.generation import generate
 from detangled.geometry.waves import is_weak, wave_axes
 from detangled.geometry.winding import winding

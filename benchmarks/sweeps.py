@@ -18,7 +18,7 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from detangled.asked import DEFAULT_METHOD, METHODS
+from detangled.from_numbers import DEFAULT_METHOD, METHODS
 from detangled.generation import side_by_side
 from detangled.groom import Groom
 from detangled.models import LABELER, load_labeler

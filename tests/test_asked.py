@@ -17,10 +17,10 @@ from numpy.typing import NDArray
 
 from detangled import draws
 from detangled.archives import read_arrays, write_arrays
-from detangled.asked import Asked, asked, asked_texture
 from detangled.errors import ModelError, TextureError
 from detangled.fitted import FittedTexture, load_texture, save_texture
 from detangled.formats import read, write
+from detangled.from_numbers import Asked, asked, asked_texture
 from detangled.generation import APART, IN_ROW, generate, side_by_side
 from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.geometry.winding import winding

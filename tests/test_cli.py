@@ -6,6 +6,7 @@ import importlib.util
 import io
 import json
 import os
+import pkgutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+import detangled
 from detangled.errors import DetangledError, ModelError, ReadError, TextureError, WriteError
 from detangled.formats import write
 from detangled.groom import Attribute, Groom, Scope
@@ -144,6 +146,12 @@ def test_help_answers_at_once() -> None:
 
     # The best of three, so that a busy machine does not fail it.
     assert min(seconds() for _ in range(3)) < 0.5
+
+
+def test_no_module_is_called_as_something_that_the_package_offers() -> None:
+    """Once loaded it would stand in its place."""
+    modules = {module.name for module in pkgutil.iter_modules(detangled.__path__)}
+    assert modules.isdisjoint(detangled.__all__)
 
 
 def test_help_lists_every_verb() -> None:

@@ -8,7 +8,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner
 
-from detangled import asked, fitting
+from detangled import fitting, from_numbers
 from detangled.formats import write
 from detangled.groom import Groom
 from detangled_cli.main import detangled
@@ -56,6 +56,27 @@ def test_no_output_replaces_an_input_or_another_output(folder: Path, line: str) 
 
 
 @pytest.mark.parametrize(
+    ("line", "code"),
+    [
+        ("convert none.abc {long}.npz", 5),
+        ("generate {long}.npz --type 4A", 5),
+        ("label {long}.npz --per-strand out.csv", 3),
+        ("label loop.npz --per-strand out.csv", 3),
+        ("render loop.npz out.png", 3),
+        ("view in.abc {long}.html --no-labels", 5),
+        ("retexture {long}.npz out.npz --type 4A --report loop.npz", 3),
+    ],
+)
+def test_names_too_long_for_a_file_and_links_to_themselves_are_told_in_a_line(
+    folder: Path, line: str, code: int
+) -> None:
+    (folder / "loop.npz").symlink_to("loop.npz")
+    done = CliRunner().invoke(detangled, line.format(long="x" * 300).split())
+    assert done.exit_code == code, done.stderr
+    assert len(done.stderr.splitlines()) == 1
+
+
+@pytest.mark.parametrize(
     "line",
     [
         "guides points.npz out.npz",
@@ -72,7 +93,7 @@ def test_a_groom_without_a_strand_to_use_is_refused_by_name_before_any_work(
     def worked(*_: object, **__: object) -> None:
         raise AssertionError("a texture was made for a groom that cannot be used")
 
-    monkeypatch.setattr(asked, "asked_texture", worked)
+    monkeypatch.setattr(from_numbers, "asked_texture", worked)
     monkeypatch.setattr(fitting, "fit", worked)
     write(Groom.from_strands([np.zeros((1, 3)), np.full((3, 3), np.nan)]), folder / "points.npz")
     done = CliRunner().invoke(detangled, [*line.split(), "--quiet"])

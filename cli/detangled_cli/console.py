@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -99,7 +100,8 @@ def check_apart(path: Path | None, *others: Path | None) -> None:
     for other in others:
         if path is None or other is None:
             continue
-        if path.resolve() == other.resolve() or (path.exists() and other.exists() and path.samefile(other)):
+        one_file = os.path.exists(path) and os.path.exists(other) and os.path.samefile(path, other)
+        if one_file or os.path.realpath(path) == os.path.realpath(other):
             raise click.UsageError(f"{path} is an input or another output already: name another file")
 
 

@@ -13,10 +13,10 @@ from detangled_cli.console import Command, note, progress_bar, warn
 from detangled_cli.option_values import HAIR_TYPE, PROFILE, SHARE, THICKNESS, UNIT, wrong_usage
 
 if TYPE_CHECKING:
-    from detangled.asked import Asked
     from detangled.base_texture import Texture
     from detangled.diffusion.finetune import FineTuning
     from detangled.fitted import FittedTexture
+    from detangled.from_numbers import Asked
     from detangled.groom import Attribute, Groom
     from detangled.texture import HairType, Profile
 
@@ -104,7 +104,7 @@ class Wanted:
         """Learn it or look it up."""
         if isinstance(self.what, Path):
             return fitted_texture(self.what, self.target_unit, self.method, seed, unit_option="--target-unit")
-        from detangled.asked import asked_texture
+        from detangled.from_numbers import asked_texture
 
         note(f"texture: {self.what}")
         return asked_texture(self.what, self.method or ASKING[0], finite_differences=self.finite_differences)
@@ -137,7 +137,7 @@ def wanted(
         raise click.UsageError(f"--method {' and '.join(FITTING)} and --target-unit go with --target")
     if finite_differences and method not in ("guided", "both"):
         raise click.UsageError("--finite-differences goes with --method guided or both")
-    from detangled.asked import asked
+    from detangled.from_numbers import asked
 
     with wrong_usage():
         return Wanted(asked(hair, radius, wavelength, twist), method, finite_differences)
