@@ -205,7 +205,7 @@ def test_strands_stand_apart_in_rows(coils: FittedTexture) -> None:
 @pytest.mark.parametrize(
     ("count", "length", "words"),
     [
-        (0, 10.0, "at least one strand"),
+        (0, 10.0, "ask for 1 to 4,000,000"),
         (3, [1.0, 2.0], "a length for each or one for all"),
         (3, 0.0, "0.1 to 2000 cm"),
         (3, -1.0, "0.1 to 2000 cm"),

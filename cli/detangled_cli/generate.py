@@ -58,12 +58,12 @@ def command(
       detangled generate waves.obj --radius 8mm --wavelength 4cm --twist 0.1
     """
     from detangled.formats import check_writable, write
-    from detangled.generation import check_lengths, generate, side_by_side
+    from detangled.generation import check_asked, generate, side_by_side
     from detangled.kernels import set_threads
 
     began = time.perf_counter()
-    with wrong_usage("--length"):
-        check_lengths(length)
+    with wrong_usage():
+        check_asked(count, length)
     asked_for = wanted(**texture_asked)
     check_apart(target, asked_for.source)
     check_writable(target)

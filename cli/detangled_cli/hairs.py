@@ -21,7 +21,7 @@ from detangled_cli.console import (
     warn,
 )
 from detangled_cli.heads import check_head_options, head_of, head_options
-from detangled_cli.option_values import LENGTH, SHARE, SHARES, THICKNESS
+from detangled_cli.option_values import LENGTH, SHARE, SHARES, THICKNESS, wrong_usage
 
 if TYPE_CHECKING:
     from detangled.texture import Profile
@@ -113,19 +113,20 @@ def command(
     check_head_options(head_source, head_unit, head_group)
     check_apart(target, head_source)
     check_writable(target)
-    options = HairOptions(
-        count=count,
-        wisp_radius=wisp_radius,
-        clump=clump,
-        clump_profile=clump_profile,
-        sub_clumps=sub_clumps,
-        flyaways=flyaways,
-        variation=variation,
-        points=points,
-        width=width,
-        seed=seed,
-        with_guides=with_guides,
-    )
+    with wrong_usage():
+        options = HairOptions(
+            count=count,
+            wisp_radius=wisp_radius,
+            clump=clump,
+            clump_profile=clump_profile,
+            sub_clumps=sub_clumps,
+            flyaways=flyaways,
+            variation=variation,
+            points=points,
+            width=width,
+            seed=seed,
+            with_guides=with_guides,
+        )
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")

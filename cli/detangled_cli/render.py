@@ -33,6 +33,7 @@ if TYPE_CHECKING:
 VIEWS = ("front", "side", "back", "top", "34")
 COLOUR_BY = ("radius", "wavelength", "twist", "guide", "none")
 LARGEST_PANEL_PX = 8192
+MOST_PIXELS = 4 * LARGEST_PANEL_PX**2
 MOST_FRAMES = 720
 SAMPLES = 64  # paths of a pixel
 WRONG_USAGE = 2
@@ -155,6 +156,9 @@ def command(
     if samples is not None and quality != "path":
         raise click.UsageError("--samples goes with --quality path")
     samples = samples or SAMPLES
+    if len(sources) * size**2 > MOST_PIXELS:
+        most = int((MOST_PIXELS / len(sources)) ** 0.5)
+        raise click.UsageError(f"{len(sources)} panels of {size} pixels are too many: give --size {most} or less")
     check_head_options(head_source, head_unit, head_group)
     check_apart(target, head_source, *sources)
 

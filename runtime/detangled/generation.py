@@ -24,6 +24,7 @@ from detangled.synthesis import synthesise
 
 CHUNK = 512  # strands made at once
 LENGTHS = (0.1, 2000.0)  # [cm]
+MOST_STRANDS = 4_000_000
 SPARE = 1.02  # of the arc, to cut from
 APART, LEAST_RADIUS = 4.0, 0.05  # radii between the axes of neighbours, each at least so many cm
 IN_ROW = 16
@@ -44,9 +45,9 @@ def generate(
     0.1 cm or above 20 m.
     """
     given = np.asarray(length, dtype=np.float64)
-    if count < 1 or given.shape not in ((), (1,), (count,)):
+    check_asked(count, given)
+    if given.shape not in ((), (1,), (count,)):
         raise TextureError(f"generate at least one strand, with a length for each or one for all, not {given.shape}")
-    check_lengths(given)
     lengths = np.array(np.broadcast_to(given, (count,)))
     spare = SPARE if texture.settling is None else SPARE * MOST_RESIZED
     arcs, short = arcs_to_make(texture, lengths * spare, Length.STRAND)
@@ -74,8 +75,10 @@ def generate(
     return Groom.from_strands(strands, up="z")
 
 
-def check_lengths(lengths: ArrayLike) -> None:
-    """Raise TextureError for lengths [cm] that no strand is made of."""
+def check_asked(count: int, lengths: ArrayLike) -> None:
+    """Raise TextureError for a number of strands, or lengths [cm], that are not made."""
+    if not 1 <= count <= MOST_STRANDS:
+        raise TextureError(f"{count} strands cannot be made: ask for 1 to {MOST_STRANDS:,}")
     given = np.asarray(lengths, dtype=np.float64)
     if not ((given >= LENGTHS[0]) & (given <= LENGTHS[1])).all():
         raise TextureError(f"a strand is made {LENGTHS[0]:g} to {LENGTHS[1]:g} cm long")
