@@ -24,14 +24,13 @@ import numpy as np
 import detangled
 import measures
 from detangled import Groom, Options
-from detangled.asked import DEFAULT_METHOD, METHODS, Asked, asked, asked_texture
+from detangled.from_numbers import DEFAULT_METHOD, METHODS, Asked, asked, asked_texture
 from detangled.geometry.winding import winding
 from detangled.grooming.guides import style_guides
 from detangled.models import LABELER, load_labeler
 from detangled.texture import hair_type, parse_profile
 
 GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parents[2] / "shared" / "grooms"))
-JUDGE = Path(__file__).parent / "judge"
 EVERY = "eve=20,bob=4,combover=100"
 WANTED = {
     "4B": asked(hair_type("4B")),
@@ -88,7 +87,7 @@ def judge(title: str, new: Groom, groom: Groom, what: Asked) -> bool:
     if long.any():
         some = new.select(long)
         own = measures.own_axis(some)
-        labels = detangled.label(some, model=load_labeler(LABELER, JUDGE))
+        labels = detangled.label(some, model=load_labeler(LABELER, measures.JUDGE))
         told = {"winding": winding(own.points, own.offsets), "judge": (labels.radius, labels.wavelength)}
         for by, sizes in told.items():
             errors = [float(np.nanmedian(s)) / want - 1.0 for s, want in zip(sizes, (radius, wavelength), strict=True)]

@@ -25,7 +25,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.asked import DEFAULT_METHOD, METHODS, Asked, asked, asked_texture
+from detangled.from_numbers import DEFAULT_METHOD, METHODS, Asked, asked, asked_texture
 from detangled.generation import generate
 from detangled.geometry.waves import is_weak, wave_axes
 from detangled.geometry.winding import winding
@@ -37,8 +37,8 @@ from detangled.texture import HAIR_TYPES, Profile, arc_of_a_turn
 from detangled_training.library import MARGIN_TURNS
 from detangled_training.signals import straightened
 from detangled_training.strands import Recipes, make_strands
+from measures import JUDGE
 
-JUDGE = Path(__file__).parent / "judge"
 LENGTHS = (8.0, 40.0)  # [cm]
 SIZE_BOUND, TWIST_BOUND, FAILED_BOUND = 0.05, 0.08, 0.01
 BY_WINDING = 0.2  # twist prevalence up to which winding judges

@@ -5,6 +5,7 @@ from __future__ import annotations
 from collections.abc import Iterator
 from dataclasses import dataclass
 from itertools import pairwise
+from pathlib import Path
 
 import numpy as np
 from numpy.typing import NDArray
@@ -22,6 +23,7 @@ from detangled.groom import offsets_of
 from detangled.grooming.guides import style_guides
 from detangled.grooming.placing import place
 
+JUDGE = Path(__file__).parent / "judge"  # labelers that had no part in making what they judge
 # A guide of 50 cm is then sampled every 0.25 mm: a hundredth of a turn.
 GUIDE_SAMPLES = 2000
 SHIFTS = 40  # cells by which two strands may be shifted to find where they are most alike

@@ -27,9 +27,9 @@ import numpy as np
 from numpy.typing import NDArray
 from scipy.stats import wasserstein_distance
 
-from detangled.asked import DEFAULT_METHOD, LIBRARY, METHODS
 from detangled.from_library import library_texture
 from detangled.from_network import network_texture
+from detangled.from_numbers import DEFAULT_METHOD, LIBRARY, METHODS
 from detangled.generation import generate
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.centerline import centerlines

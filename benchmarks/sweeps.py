@@ -18,14 +18,14 @@ from pathlib import Path
 import numpy as np
 from PIL import Image
 
-from detangled.asked import DEFAULT_METHOD, METHODS
+from detangled.from_numbers import DEFAULT_METHOD, METHODS
 from detangled.generation import side_by_side
 from detangled.groom import Groom
 from detangled.models import LABELER, load_labeler
 from detangled.view.gallery.sweep_figure import SWEPT, sweep_step
 from detangled.view.picture import render, save
+from measures import JUDGE
 
-JUDGE = Path(__file__).parent / "judge"
 SHOWN = 4  # strands of a panel
 SIZE = (360, 440)  # [px] of a panel
 COLOURS = 192

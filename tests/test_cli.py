@@ -6,6 +6,7 @@ import importlib.util
 import io
 import json
 import os
+import pkgutil
 import signal
 import subprocess
 import sys
@@ -21,6 +22,7 @@ import numpy as np
 import pytest
 from click.testing import CliRunner, Result
 
+import detangled
 from detangled.errors import DetangledError, ModelError, ReadError, TextureError, WriteError
 from detangled.formats import write
 from detangled.groom import Attribute, Groom, Scope
@@ -144,6 +146,12 @@ def test_help_answers_at_once() -> None:
 
     # The best of three, so that a busy machine does not fail it.
     assert min(seconds() for _ in range(3)) < 0.5
+
+
+def test_no_module_is_called_as_something_that_the_package_offers() -> None:
+    """Once loaded it would stand in its place."""
+    modules = {module.name for module in pkgutil.iter_modules(detangled.__path__)}
+    assert modules.isdisjoint(detangled.__all__)
 
 
 def test_help_lists_every_verb() -> None:
@@ -346,8 +354,8 @@ def test_first_run_is_announced_once(verb: Any, monkeypatch: pytest.MonkeyPatch)
     monkeypatch.setitem(sys.modules, "detangled.kernels", kernels)
 
     def twice() -> None:
-        console.announce_first_run("placing.resample")
-        console.announce_first_run("placing.resample")
+        console.announce_first_run("detangled.grooming.placing.resample")
+        console.announce_first_run("detangled.grooming.placing.resample")
 
     verb(twice)
     assert invoke("act").stderr.count("compiling kernels") == 1
@@ -385,6 +393,13 @@ def test_describe_leaves_bad_strands_out_of_the_lengths() -> None:
     assert facts["attributes"]["width"] == {"scope": "point", "dtype": "float32", "shape": [10]}
     assert facts["notes"] == ["A note."]
     json.dumps(facts, allow_nan=False)
+
+
+def test_describe_measures_strands_too_long_for_hair_and_counts_them_as_unusable() -> None:
+    facts = describe(Groom.from_strands([[[0, 0, 0], [0, 0, -20]], [[0, 0, 0], [0, 0, -3000]]]))
+    assert facts["unusable_strands"] == 1
+    assert facts["length_cm"] == {"min": 20.0, "median": 1510.0, "max": 3000.0}
+    assert "1 (not finite, fewer than two distinct points, or longer than 20 m)" in as_text({"file": "a.abc", **facts})
 
 
 def test_describe_a_groom_without_strands() -> None:

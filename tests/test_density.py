@@ -15,9 +15,10 @@ from scipy.spatial.transform import Rotation
 
 from detangled.errors import DetangledError
 from detangled.formats import read
+from detangled.geometry.winding import mean_without_outliers
 from detangled.groom import Attribute, Groom, Scope
 from detangled.grooming.blue_noise import spread_out
-from detangled.grooming.density import density_change, without_outliers
+from detangled.grooming.density import density_change
 from detangled.grooming.density_resampling import Resampled, resampled
 from detangled.grooming.guides import style_guides
 from detangled.grooming.interpolation import diverging, interpolated
@@ -423,8 +424,8 @@ def test_absurd_changes_are_bounded_and_straight_targets_need_none() -> None:
 
 def test_values_beyond_three_deviations_are_left_out_of_a_mean() -> None:
     values = np.concatenate([np.full(50, 1.0), np.full(50, 2.0), [90.0]])
-    assert without_outliers(values) == pytest.approx(1.5)
-    assert without_outliers(values[:0]) == 0.0
+    assert mean_without_outliers(values) == pytest.approx(1.5)
+    assert mean_without_outliers(values[:0]) == 0.0
 
 
 # ---- real grooms

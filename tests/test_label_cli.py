@@ -327,7 +327,6 @@ def test_no_strand_that_can_be_read_is_an_unusable_input(groom: Path, labelled: 
         ("missing/strands.csv", ["does not exist"]),
         ("folder.csv", ["a folder"]),
         ("other.obj", [".csv"]),
-        ("groom.csv", ["the groom itself"]),
     ],
 )
 def test_a_table_that_cannot_be_written_is_refused_before_the_work(
@@ -335,7 +334,6 @@ def test_a_table_that_cannot_be_written_is_refused_before_the_work(
 ) -> None:
     asked = labelled(MIXED)
     (tmp_path / "folder.csv").mkdir()
-    (tmp_path / "groom.csv").symlink_to(groom)
     before = groom.read_bytes()
     assert_refused(invoke(groom, "--per-strand", tmp_path / name), 5, name, *words)
     assert asked == []
@@ -441,7 +439,7 @@ def test_the_range_of_a_type_holds_four_strands_of_five() -> None:
 def test_a_type_that_there_is_not(name: str) -> None:
     with pytest.raises(TextureError):
         explanation_of(name)
-    assert_refused(invoke("--explain", name), 3, name)
+    assert_refused(invoke("--explain", name), 2, name)
 
 
 def test_made_up_labels_are_of_the_types_they_say() -> None:

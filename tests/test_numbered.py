@@ -11,11 +11,11 @@ import pytest
 from click.testing import CliRunner
 
 from detangled import draws, engines
-from detangled.asked import METHODS as ASKING
-from detangled.asked import asked, asked_texture
 from detangled.errors import ModelError, TextureError
 from detangled.fitted import METHODS as FITTING
 from detangled.from_network import LONGEST_WINDOW, network_texture
+from detangled.from_numbers import METHODS as ASKING
+from detangled.from_numbers import asked, asked_texture
 from detangled.generation import generate
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom

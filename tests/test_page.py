@@ -387,7 +387,6 @@ def test_the_command_labels_both_grooms(tuft_file: Path, tmp_path: Path) -> None
         (("tuft.npz", "nowhere/page.html"), 5, "does not exist"),
         (("missing.abc", "page.html"), 3, "no such file"),
         (("tuft.npz", "page.html", "--after", "missing.abc"), 3, "no such file"),
-        (("tuft.html", "tuft.html"), 5, "is an input"),
         (("tuft.npz", "page.html", "--head", "missing.obj"), 3, "no such file"),
         (("tuft.npz", "page.html", "--head-unit", "cm"), 2, "go with --head"),
         ((), 2, "Missing argument 'IN'"),

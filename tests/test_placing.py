@@ -9,8 +9,9 @@ from detangled import Groom, Scope
 from detangled.geometry.arc import arc_positions
 from detangled.geometry.signal import finer_cells
 from detangled.groom import Attribute
-from detangled.grooming.guides import resampled_attributes, usable_strands
+from detangled.grooming.guides import resampled_attributes
 from detangled.grooming.placing import bend_onto, cut
+from detangled.usable import usable_strands
 
 
 def coil(turns: float, points: int, radius: float = 0.5, wavelength: float = 0.6) -> np.ndarray:

@@ -316,7 +316,9 @@ def test_the_command_makes_hairs(tmp_path: Path) -> None:
         (["--count", "3"], 3, "ask for 16 or more"),
         (["--clump-profile", "tight"], 2, "--clump-profile"),
         (["--clump-profile", "0:3"], 2, "from 0 to 1"),
-        (["--wisp-radius", "wide"], 3, "--wisp-radius"),
+        (["--wisp-radius", "wide"], 2, "--wisp-radius"),
+        (["--width", "3mm"], 2, "a thickness of 3000 um"),
+        (["--clump", "nan"], 2, "no finite number"),
         (["--flyaways", "2"], 2, "flyaways"),
     ],
 )

@@ -280,8 +280,8 @@ def test_missing_and_unusable_inputs(few: Path, tmp_path: Path) -> None:
     assert_refused(retexture(few, out, texture=tmp_path / "none.texture"), 3, "none.texture", "no such file")
     useless = tmp_path / "useless.obj"
     useless.write_text("v 1 1 1\nv 1 1 1\nl 1 2\nl 1\n")
-    assert_refused(retexture(few, out, texture=useless), 3, "none of the 2 target strands")
-    assert_refused(retexture(useless, out), 3, "none of the 2 strands")
+    assert_refused(retexture(few, out, texture=useless), 3, "useless.obj: none of the 2 strands")
+    assert_refused(retexture(useless, out), 3, "useless.obj: none of the 2 strands")
     assert not out.exists()
 
 

@@ -13,6 +13,9 @@ from click.testing import CliRunner, Result
 from numpy.typing import NDArray
 from PIL import Image
 
+from detangled import retexturing
+from detangled.base_texture import Texture
+from detangled.engines import Engine
 from detangled.fitting import fit
 from detangled.formats import read, write
 from detangled.groom import Attribute, Groom, Scope
@@ -121,6 +124,24 @@ def test_a_damaged_strand_is_told_by_its_number_where_others_are_deleted(
     assert names[passed] == 2
     assert made.strands == len(names) - 1
     np.testing.assert_array_equal(made.groom.strand(passed), far)
+
+
+def test_strands_do_not_depend_on_how_many_are_made_at_once_and_one_engine_makes_all(
+    hair: Groom, monkeypatch: pytest.MonkeyPatch
+) -> None:
+    texture = fit(read(COILY, unit="cm"))
+    whole = retexture(hair, texture)
+    engines = []
+
+    def engine_of(texture: Texture) -> Engine:
+        engines.append(whole_engine_of(texture))
+        return engines[-1]
+
+    whole_engine_of = retexturing.engine_of
+    monkeypatch.setattr(retexturing, "CHUNK", 16)
+    monkeypatch.setattr(retexturing, "engine_of", engine_of)
+    np.testing.assert_array_equal(retexture(hair, texture).groom.points, whole.groom.points)
+    assert len(engines) == 1
 
 
 # ---- the command

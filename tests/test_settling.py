@@ -10,9 +10,9 @@ import numpy as np
 import pytest
 from numpy.typing import NDArray
 
-from detangled.asked import asked, asked_texture
 from detangled.base_texture import Texture
 from detangled.fitted import FittedTexture, load_texture, save_texture
+from detangled.from_numbers import asked, asked_texture
 from detangled.generation import generate
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.winding import winding

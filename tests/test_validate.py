@@ -19,7 +19,9 @@ from detangled.formats.frames import write_frames
 from detangled.groom import Attribute, Groom, Scope
 from detangled.presets import preset
 from detangled.validation import validate
+from detangled.validation.archive import contents
 from detangled_cli.main import detangled
+from test_formats_abc import curves_sample, transform
 from test_presets import CON, UNI, VTX, hanging, rich
 
 STRANDS, POINTS = 4, 3
@@ -204,6 +206,19 @@ def test_transforms_do_not_scale_widths(build: Build) -> None:
         transform.getSchema().set(sample)
 
     assert "widths are not scaled with the nodes above, which make the hair 1.2 times larger" in lost(build(change))
+
+
+def test_a_transform_that_begins_anew_is_not_scaled_with_those_above_it(tmp_path: Path) -> None:
+    def nodes() -> None:
+        archive = Abc.OArchive(str(tmp_path / "a.abc"))
+        above = transform(archive.getTop(), "outer", np.diag([5.0, 5.0, 5.0, 1.0]))
+        below = transform(above, "alone", np.diag([2.0, 2.0, 2.0, 1.0]), inherits=False)
+        for parent, name in ((above, "one"), (below, "two")):
+            AbcGeom.OCurves(parent, name).getSchema().set(curves_sample(np.eye(3, dtype=np.float32), [3]))
+
+    nodes()
+    scales = {curves.path.rpartition("/")[2]: curves.scale for curves in contents(tmp_path / "a.abc").curves}
+    assert scales == pytest.approx({"one": 5.0, "two": 2.0})
 
 
 def test_a_mesh_beside_the_hair(build: Build) -> None:

@@ -2,6 +2,7 @@
 
 from __future__ import annotations
 
+import os
 import sys
 from collections.abc import Callable, Iterator
 from contextlib import contextmanager
@@ -9,6 +10,8 @@ from pathlib import Path
 from typing import TYPE_CHECKING, Any, TypeVar
 
 import click
+
+from detangled_cli.option_values import UNIT
 
 # A bar for what is over at once would only flicker.
 BAR_DELAY_S = 1.0
@@ -66,7 +69,7 @@ def progress_bar(label: str, total: int | None = None) -> Iterator[tqdm[Any]]:
 def announce_first_run(last_kernel: str) -> None:
     """Say once, before kernels are used, that they are about to be compiled, if they are.
 
-    last_kernel: ``module.function`` of a kernel that the verb compiles last.
+    last_kernel: ``package.module.function`` of a kernel that the verb compiles last.
     """
     shared = _shared()
     if shared.get(_ANNOUNCED):
@@ -78,23 +81,6 @@ def announce_first_run(last_kernel: str) -> None:
         note("compiling kernels: this first run takes about a minute longer, later ones do not")
 
 
-class UnitType(click.ParamType):
-    """A unit of length by its name; the names are detangled.units', loaded when one is given."""
-
-    name = "unit"
-
-    def convert(self, value: Any, param: click.Parameter | None, ctx: click.Context | None) -> str:
-        from detangled.errors import ReadError
-        from detangled.units import cm_per_unit
-
-        try:
-            cm_per_unit(str(value))
-        except ReadError as error:
-            self.fail(str(error), param, ctx)
-        return str(value)
-
-
-UNIT = UnitType()
 UNIT_NAMES = "mm, cm, dm, m or in"
 
 
@@ -107,6 +93,16 @@ def input_argument(command: Command) -> Command:
 def output_argument(command: Command) -> Command:
     """The argument OUT, a path, as ``target``."""
     return click.argument("target", metavar="OUT", type=click.Path(path_type=Path))(command)
+
+
+def check_apart(path: Path | None, *others: Path | None) -> None:
+    """Raise UsageError where a file to write is one of some others: inputs that would be lost, or other outputs."""
+    for other in others:
+        if path is None or other is None:
+            continue
+        one_file = os.path.exists(path) and os.path.exists(other) and os.path.samefile(path, other)
+        if one_file or os.path.realpath(path) == os.path.realpath(other):
+            raise click.UsageError(f"{path} is an input or another output already: name another file")
 
 
 def quiet_option(command: Command) -> Command:

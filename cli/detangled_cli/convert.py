@@ -8,7 +8,6 @@ from pathlib import Path
 import click
 
 from detangled_cli.console import (
-    UNIT,
     UNIT_NAMES,
     announce_first_run,
     input_argument,
@@ -18,6 +17,7 @@ from detangled_cli.console import (
     unit_option,
     warn,
 )
+from detangled_cli.option_values import UNIT
 from detangled_cli.presets import check_preset, needs_kernels, preset_option, written
 
 AXIS = click.Choice(["x", "y", "z"])
@@ -56,7 +56,8 @@ def command(
     from detangled.formats import check_writable
     from detangled.formats.frames import holds_frames, read_frames
     from detangled.units import cm_per_unit, unit_name
-    from detangled_cli.info import UNUSABLE, usable_strands
+    from detangled.usable import usable_strands
+    from detangled_cli.info import UNUSABLE
 
     if preset is not None and (out_unit is not None or up is not None):
         raise click.UsageError(f"--preset {preset} decides unit and up axis of OUT: leave out --out-unit and --up")
@@ -78,7 +79,7 @@ def command(
         from detangled.presets import prepared_frames
 
         if needs_kernels(groom, preset):
-            announce_first_run("fewer_points._points_at")
+            announce_first_run("detangled.grooming.fewer_points._points_at")
         frames, sentences = prepared_frames(frames, preset, target.suffix.lower())
         groom = frames.groom
         for sentence in sentences:

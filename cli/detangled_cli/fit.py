@@ -6,7 +6,7 @@ from pathlib import Path
 
 import click
 
-from detangled_cli.console import announce_first_run, quiet_option, threads_option, unit_option
+from detangled_cli.console import announce_first_run, check_apart, quiet_option, threads_option, unit_option
 from detangled_cli.targets import fitting_option
 
 
@@ -17,9 +17,8 @@ from detangled_cli.targets import fitting_option
 @click.option(
     "--seed",
     type=click.IntRange(min=0),
-    default=0,
-    show_default=True,
-    help="Of finetune: the same seed, the same weights.",
+    metavar="N",
+    help="Of finetune: the same seed, the same weights. Default: 0.",
 )
 @click.option(
     "--training-steps",
@@ -35,7 +34,7 @@ def command(
     source: Path,
     target: Path,
     method: str | None,
-    seed: int,
+    seed: int | None,
     training_steps: int | None,
     unit: str | None,
     threads: int | None,
@@ -49,14 +48,19 @@ def command(
       detangled retexture groom.abc new.abc --target coily.texture
     """
     from detangled.errors import WriteError
-    from detangled.fitted import SUFFIX, save_texture
+    from detangled.fitted import FINETUNE, SUFFIX, save_texture
     from detangled.formats import check_folder
     from detangled.kernels import set_threads
     from detangled_cli.targets import fitted_texture
 
+    if source.suffix == SUFFIX:
+        raise click.UsageError(f"{source} is learned already: name the strands to learn from")
+    if method != FINETUNE and (seed is not None or training_steps is not None):
+        raise click.UsageError(f"--seed and --training-steps go with --method {FINETUNE}")
+    check_apart(target, source)
     if target.suffix != SUFFIX:
         raise WriteError(f"{target}: a fitted texture is written as {SUFFIX}")
     check_folder(target)
-    announce_first_run("winding.winding")
+    announce_first_run("detangled.geometry.winding.winding")
     set_threads(threads)
-    save_texture(fitted_texture(source, unit, method, seed, training_steps), target)
+    save_texture(fitted_texture(source, unit, method, seed or 0, training_steps), target)

@@ -126,7 +126,11 @@ def command(
     chosen = [name for name in FIGURES if name in only] if only else list(FIGURES)
     styles = _styles(grooms, strands, seed)
     figures = {name: _figure(name) for name in chosen}
-    announce_first_run("resting.hang_all" if {"twists", "hanging"} & set(figures) else "placing.resample")
+    announce_first_run(
+        "detangled_training.resting.hang_all"
+        if {"twists", "hanging"} & set(figures)
+        else "detangled.grooming.placing.resample"
+    )
     set_threads(threads)
     with progress_bar("figures", sum(figure.steps for figure in figures.values())) as bar:
         for name, figure in figures.items():

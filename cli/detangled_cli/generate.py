@@ -11,6 +11,7 @@ import click
 
 from detangled_cli.console import (
     announce_first_run,
+    check_apart,
     note,
     output_argument,
     progress_bar,
@@ -18,14 +19,22 @@ from detangled_cli.console import (
     threads_option,
     warn,
 )
-from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
+from detangled_cli.option_values import LENGTH, wrong_usage
+from detangled_cli.targets import fibre_attributes, texture_options, wanted
 
 
 @click.command()
 @output_argument
 @texture_options
 @click.option("--count", type=click.IntRange(min=1), default=64, show_default=True, metavar="N", help="Strands.")
-@click.option("--length", default="20cm", show_default=True, metavar="L", help="Of each strand, along its curls.")
+@click.option(
+    "--length",
+    type=LENGTH,
+    default="20cm",
+    show_default=True,
+    metavar="L",
+    help="Of each strand, along its curls.",
+)
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed, the same hair.")
 @click.option("--steps", type=click.IntRange(2, 200), default=20, show_default=True, help="Steps of the sampler.")
 @threads_option
@@ -33,13 +42,13 @@ from detangled_cli.targets import fibre_attributes, texture_options, wanted_text
 def command(
     target: Path,
     count: int,
-    length: str,
+    length: float,
     seed: int,
     steps: int,
     threads: int | None,
-    thickness: str | None,
+    thickness: float | None,
     porosity: float | None,
-    **wanted: Any,
+    **texture_asked: Any,
 ) -> None:
     """Make loose strands of a texture, side by side, each about a straight axis that points down.
 
@@ -49,20 +58,21 @@ def command(
       detangled generate waves.obj --radius 8mm --wavelength 4cm --twist 0.1
     """
     from detangled.formats import check_writable, write
-    from detangled.generation import generate, side_by_side
+    from detangled.generation import check_asked, generate, side_by_side
     from detangled.kernels import set_threads
-    from detangled.texture import parse_length
 
     began = time.perf_counter()
+    with wrong_usage():
+        check_asked(count, length)
+    asked_for = wanted(**texture_asked)
+    check_apart(target, asked_for.source)
     check_writable(target)
-    fibre = fibre_attributes(thickness, porosity)
-    arc = parse_length(length, "--length")
-    announce_first_run("placing.resample")
+    announce_first_run("detangled.grooming.placing.resample")
     set_threads(threads)
-    texture = wanted_texture(**wanted, seed=seed)
+    texture = asked_for.texture(seed)
     with progress_bar("strands", count) as bar:
-        groom = side_by_side(generate(texture, count, arc, seed, steps, bar.update))
-    groom = replace(groom, attributes=fibre)
+        groom = side_by_side(generate(texture, count, length, seed, steps, bar.update))
+    groom = replace(groom, attributes=fibre_attributes(thickness, porosity))
     for sentence in write(groom, target):
         warn(f"{target}: {sentence}")
     note(f"{target}: {count} strands, {len(groom.points)} points, in {time.perf_counter() - began:.1f} s")

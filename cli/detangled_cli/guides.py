@@ -31,14 +31,16 @@ def command(source: Path, target: Path, unit: str | None, threads: int | None) -
       detangled guides curly.abc guides.abc
     """
     from detangled.formats import check_writable, read, write
-    from detangled.grooming.guides import guides_groom, usable_strands
+    from detangled.grooming.guides import guides_groom
     from detangled.kernels import set_threads
+    from detangled.usable import check_usable, usable_strands
 
     check_writable(target)
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
-    announce_first_run("centerline._centerlines")
+    check_usable(groom, source)
+    announce_first_run("detangled.geometry.centerline._centerlines")
     set_threads(threads)
     unusable = groom.strand_count - int(usable_strands(groom).sum())
     if unusable:

@@ -10,6 +10,7 @@ import click
 
 from detangled_cli.console import (
     announce_first_run,
+    check_apart,
     input_argument,
     note,
     output_argument,
@@ -20,11 +21,10 @@ from detangled_cli.console import (
     warn,
 )
 from detangled_cli.heads import check_head_options, head_of, head_options
+from detangled_cli.option_values import LENGTH, SHARE, SHARES, THICKNESS, wrong_usage
 
 if TYPE_CHECKING:
     from detangled.texture import Profile
-
-SHARE = click.FloatRange(0.0, 1.0)
 
 
 @click.command()
@@ -34,6 +34,7 @@ SHARE = click.FloatRange(0.0, 1.0)
 @head_options("hairs grow on it.")
 @click.option(
     "--wisp-radius",
+    type=LENGTH,
     metavar="R",
     help="How far from its guide a wisp's hairs are. Default: half of what the guide has room for, or of its coil.",
 )
@@ -46,6 +47,7 @@ SHARE = click.FloatRange(0.0, 1.0)
 )
 @click.option(
     "--clump-profile",
+    type=SHARES,
     default="0:1",
     show_default=True,
     metavar="A:B[:C]",
@@ -67,7 +69,7 @@ SHARE = click.FloatRange(0.0, 1.0)
     metavar="N",
     help="Points of a hair. Default: as its guide has, within 24 million in all.",
 )
-@click.option("--width", default="0.08mm", show_default=True, metavar="W", help="Of a hair.")
+@click.option("--width", type=THICKNESS, default="0.08mm", show_default=True, metavar="W", help="Of a hair.")
 @click.option("--with-guides", is_flag=True, help="Write the guide strands too, first, and flagged.")
 @click.option("--seed", type=click.IntRange(min=0), default=0, show_default=True, help="The same seed, the same hair.")
 @unit_option
@@ -80,14 +82,14 @@ def command(
     head_source: Path | None,
     head_unit: str | None,
     head_group: str | None,
-    wisp_radius: str | None,
+    wisp_radius: float | None,
     clump: float,
-    clump_profile: str,
+    clump_profile: Profile,
     sub_clumps: int,
     flyaways: float,
     variation: float,
     points: int | None,
-    width: str,
+    width: float,
     with_guides: bool,
     seed: int,
     unit: str | None,
@@ -105,34 +107,33 @@ def command(
     from detangled.formats import check_writable, read, write
     from detangled.grooming.render_hairs import HairOptions, render_hairs
     from detangled.kernels import set_threads
-    from detangled.texture import check_thickness, parse_length
+    from detangled.usable import check_usable
 
     began = time.perf_counter()
-    check_writable(target)
     check_head_options(head_source, head_unit, head_group)
-    if head_source is not None and target.resolve() == head_source.resolve():
-        raise click.UsageError(f"{target} is the head: name another file to write")
-    across = parse_length(width, "--width")
-    check_thickness(1e4 * across)
-    options = HairOptions(
-        count=count,
-        wisp_radius=None if wisp_radius is None else parse_length(wisp_radius, "--wisp-radius"),
-        clump=clump,
-        clump_profile=_profile(clump_profile),
-        sub_clumps=sub_clumps,
-        flyaways=flyaways,
-        variation=variation,
-        points=points,
-        width=across,
-        seed=seed,
-        with_guides=with_guides,
-    )
+    check_apart(target, head_source)
+    check_writable(target)
+    with wrong_usage():
+        options = HairOptions(
+            count=count,
+            wisp_radius=wisp_radius,
+            clump=clump,
+            clump_profile=clump_profile,
+            sub_clumps=sub_clumps,
+            flyaways=flyaways,
+            variation=variation,
+            points=points,
+            width=width,
+            seed=seed,
+            with_guides=with_guides,
+        )
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
+    check_usable(groom, source)
     set_threads(threads)
     mesh = head_of(groom, head_source, head_unit, head_group)
-    announce_first_run("hair_laying.laid")
+    announce_first_run("detangled.grooming.hair_laying.laid")
     with progress_bar("hairs", count) as bar:
         result = render_hairs(groom, options, mesh, bar.update)
     for sentence in [*result.notes, *result.lost]:
@@ -143,18 +144,3 @@ def command(
         f"{target}: {count} hairs, {len(result.groom.points)} points, "
         f"wisps of {10 * result.wisp_radius:.2g} mm radius, in {time.perf_counter() - began:.1f} s"
     )
-
-
-def _profile(text: str) -> Profile:
-    """Shares from root to tip. Raises click.UsageError for anything else."""
-    from detangled.texture import Profile
-
-    try:
-        values = tuple(float(part) for part in text.split(":"))
-    except ValueError:
-        raise click.UsageError(
-            f"--clump-profile {text!r} is none: write shares from root to tip, such as 0:1"
-        ) from None
-    if not all(0.0 <= value <= 1.0 for value in values):
-        raise click.UsageError(f"--clump-profile {text!r} must hold shares from 0 to 1")
-    return Profile(values)

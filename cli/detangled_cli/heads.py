@@ -7,7 +7,8 @@ from typing import TYPE_CHECKING
 
 import click
 
-from detangled_cli.console import UNIT, UNIT_NAMES, Command, announce_first_run, warn
+from detangled_cli.console import UNIT_NAMES, Command, announce_first_run, warn
+from detangled_cli.option_values import UNIT
 
 if TYPE_CHECKING:
     from collections.abc import Callable
@@ -60,7 +61,7 @@ def head_of(groom: Groom, source: Path | None, unit: str | None, group: str | No
     from detangled.formats.meshes import read_head
     from detangled.grooming.head_fit import fitted_to
 
-    announce_first_run("placing.resample")
+    announce_first_run("detangled.grooming.placing.resample")
     try:
         head = fitted_to(read_head(source, unit=unit, group=group), groom)
     except ReadError as error:

@@ -11,7 +11,6 @@ import click
 from detangled_cli.console import input_argument, quiet_option, unit_option
 
 if TYPE_CHECKING:
-    import numpy as np
     from numpy.typing import NDArray
 
     from detangled.groom import Groom
@@ -23,7 +22,8 @@ UNIT_SOURCES = {
     "default": "assumed",
 }
 
-UNUSABLE = "not finite, or fewer than two distinct points"
+UNUSABLE = "not finite, fewer than two distinct points, or longer than 20 m"
+LARGEST_CM = 1e100  # of what can be measured
 # From here on digits behind the point say nothing, and those before it fill the line.
 LARGE = 1e7
 
@@ -37,7 +37,7 @@ def command(source: Path, as_json: bool, unit: str | None) -> None:
     """Describe a groom: strands, lengths, unit, attributes.
 
     Lengths are those of the polylines, in cm. Strands that hold a value that is not finite, or fewer than two
-    distinct points, are counted as unusable and left out of the lengths and the box.
+    distinct points, are left out of the lengths and the box; they and those longer than 20 m are counted as unusable.
 
     \b
     Example:
@@ -56,14 +56,16 @@ def describe(groom: Groom) -> dict[str, Any]:
     import numpy as np
 
     from detangled.units import unit_name
+    from detangled.usable import extents, usable_strands
 
-    usable = usable_strands(groom)
-    # Measured apart from the others, since one value that is not finite spoils the sums over all of them.
-    sound = groom.select(usable)
+    extent = extents(groom)
+    # Measured apart from the others, since one value that is not finite spoils the sums over all of them; so would
+    # one whose square is not.
+    sound = groom.select((extent > 0.0) & (extent < LARGEST_CM))
     box = [sound.points.min(axis=0).tolist(), sound.points.max(axis=0).tolist()] if len(sound.points) else None
     return {
         "strands": groom.strand_count,
-        "unusable_strands": int(np.count_nonzero(~usable)),
+        "unusable_strands": int(np.count_nonzero(~usable_strands(groom))),
         "points": len(groom.points),
         "points_per_strand": _spread(groom.point_counts),
         "length_cm": _spread(sound.polyline_lengths()),
@@ -108,20 +110,6 @@ def as_text(facts: dict[str, Any]) -> str:
     if facts["notes"]:
         lines += ["  notes", *(f"    {sentence}" for sentence in facts["notes"])]
     return "\n".join(lines)
-
-
-def usable_strands(groom: Groom) -> NDArray[np.bool_]:
-    """Whether a strand has two distinct points, finite ones only, and a length that is finite too, (S,)."""
-    import numpy as np
-
-    bad_before = np.concatenate([[0], np.cumsum(~np.isfinite(groom.points).all(axis=1))])
-    finite = bad_before[groom.offsets[1:]] == bad_before[groom.offsets[:-1]]
-    usable = np.asarray(finite & (groom.point_counts >= 2))
-    # Squares of what a file can hold may be beyond what a float can.
-    with np.errstate(over="ignore"):
-        lengths = groom.select(usable).polyline_lengths()
-    usable[usable] = (lengths > 0.0) & np.isfinite(lengths)
-    return usable
 
 
 def _spread(values: NDArray[Any]) -> dict[str, float] | None:

@@ -12,12 +12,14 @@ import click
 
 from detangled_cli.console import (
     announce_first_run,
+    check_apart,
     progress_bar,
     quiet_option,
     threads_option,
     unit_option,
     warn,
 )
+from detangled_cli.option_values import wrong_usage
 
 if TYPE_CHECKING:
     from detangled.labeling import Labels
@@ -88,12 +90,14 @@ def command(
     if explain:
         if as_json or table is not None:
             raise click.UsageError("--explain measures nothing: leave --json and --per-strand out")
-        click.echo(explanation() if source is None else explanation_of(str(source)))
+        with wrong_usage():
+            click.echo(explanation() if source is None else explanation_of(str(source)))
         return
     if source is None:
         raise click.UsageError("Missing argument 'IN': a groom to measure; or --explain, to find hair by eye")
     if table is not None:
-        _check_table(table, source)
+        check_apart(table, source)
+        _check_table(table)
 
     from detangled.errors import ReadError
     from detangled.formats import read
@@ -105,7 +109,7 @@ def command(
     groom = read(source, unit=unit)
     for sentence in groom.notes:
         warn(f"{source}: {sentence}")
-    announce_first_run("labeling.points_per_turn")
+    announce_first_run("detangled.labeling.points_per_turn")
     set_threads(threads)
     with progress_bar("strands", groom.strand_count) as bar:
         labels = label(groom, bar.update)
@@ -184,7 +188,7 @@ def explanation_of(name: str) -> str:
     return "\n".join([*lines, "", *(f"  {line}" for line in CAUTION)])
 
 
-def _check_table(table: Path, source: Path) -> None:
+def _check_table(table: Path) -> None:
     """Raise the WriteError that writing the table would end in, before the strands are read."""
     from detangled.errors import WriteError
     from detangled.formats import check_folder
@@ -192,8 +196,6 @@ def _check_table(table: Path, source: Path) -> None:
     if table.suffix.lower() != CSV_SUFFIX:
         raise WriteError(f"{table}: a row for each strand is written as {CSV_SUFFIX}")
     check_folder(table)
-    if table.exists() and source.exists() and table.samefile(source):
-        raise WriteError(f"{table}: is the groom itself, which would be lost: choose another file")
 
 
 def _index(name: str) -> int:

@@ -11,9 +11,9 @@ from typing import TYPE_CHECKING
 
 import click
 
-from detangled.errors import DetangledError
 from detangled_cli.console import (
     announce_first_run,
+    check_apart,
     file_names,
     note,
     progress_bar,
@@ -23,15 +23,19 @@ from detangled_cli.console import (
     warn,
 )
 from detangled_cli.heads import check_head_options, head_of, head_options
+from detangled_cli.option_values import COLOUR, FiniteRange
 
 if TYPE_CHECKING:
     from detangled.groom import Groom
+    from detangled.view.colours import Colour
     from detangled.view.picture import Picture, Style
 
 VIEWS = ("front", "side", "back", "top", "34")
 COLOUR_BY = ("radius", "wavelength", "twist", "guide", "none")
 LARGEST_PANEL_PX = 8192
+MOST_PIXELS = 4 * LARGEST_PANEL_PX**2
 MOST_FRAMES = 720
+SAMPLES = 64  # paths of a pixel
 WRONG_USAGE = 2
 
 
@@ -53,7 +57,7 @@ class ExtraMissing(click.ClickException):
 )
 @click.option(
     "--zoom",
-    type=click.FloatRange(0.1, 100.0),
+    type=FiniteRange(0.1, 100.0),
     default=1.0,
     metavar="F",
     help="Enlarge the middle of the picture this many times.",
@@ -69,6 +73,7 @@ class ExtraMissing(click.ClickException):
 @click.option(
     "--colour",
     "--color",
+    type=COLOUR,
     metavar="C",
     help="Hair colour: black, darkbrown, brown, lightbrown, auburn, red, blond, platinum, grey, white, #rrggbb, or "
     "amounts of eumelanin/pheomelanin such as 1.3 or 0.3/0.8.",
@@ -104,10 +109,8 @@ class ExtraMissing(click.ClickException):
 @click.option(
     "--samples",
     type=click.IntRange(1, 65536),
-    default=64,
-    show_default=True,
     metavar="N",
-    help="Paths traced for each pixel with --quality path.",
+    help=f"Paths traced for each pixel with --quality path. Default: {SAMPLES}.",
 )
 @unit_option
 @threads_option
@@ -120,12 +123,12 @@ def command(
     view: str,
     zoom: float,
     size: int,
-    colour: str | None,
+    colour: Colour | None,
     colour_by: str,
     captions: tuple[str, ...],
     frames: int | None,
     quality: str,
-    samples: int,
+    samples: int | None,
     unit: str | None,
     threads: int | None,
 ) -> None:
@@ -150,7 +153,14 @@ def command(
         raise click.UsageError(f"{len(sources)} grooms need as many --caption, not {len(captions)}")
     if colour is not None and colour_by != "none":
         raise click.UsageError("--colour and --colour-by do not go together: name one")
+    if samples is not None and quality != "path":
+        raise click.UsageError("--samples goes with --quality path")
+    samples = samples or SAMPLES
+    if len(sources) * size**2 > MOST_PIXELS:
+        most = int((MOST_PIXELS / len(sources)) ** 0.5)
+        raise click.UsageError(f"{len(sources)} panels of {size} pixels are too many: give --size {most} or less")
     check_head_options(head_source, head_unit, head_group)
+    check_apart(target, head_source, *sources)
 
     from detangled.formats import read
     from detangled.kernels import set_threads
@@ -171,7 +181,7 @@ def command(
     mesh = head_of(grooms[0], head_source, head_unit, head_group)
     style = picture.Style(zoom=zoom, quality=quality, samples=samples)
     style = _coloured(style, grooms, colour, colour_by)
-    announce_first_run("rasteriser.")
+    announce_first_run("detangled.view.rasteriser._colour")
     names = [str(source) for source in sources]
     if frames is None:
         with progress_bar("samples", samples * len(grooms)) if quality == "path" else nullcontext() as bar:
@@ -200,14 +210,9 @@ def _need_mitsuba() -> None:
         raise ExtraMissing(str(error)) from error
 
 
-def _coloured(style: Style, grooms: list[Groom], colour: str | None, by: str) -> Style:
+def _coloured(style: Style, grooms: list[Groom], colour: Colour | None, by: str) -> Style:
     if colour is not None:
-        from detangled.view.colours import hair_colour
-
-        try:
-            return replace(style, look=replace(style.look, hair=hair_colour(colour)))
-        except DetangledError as error:
-            raise click.UsageError(f"--colour: {error}") from error
+        return replace(style, look=replace(style.look, hair=colour))
     if by == "none":
         return style
     from detangled.view.colouring import strand_colours

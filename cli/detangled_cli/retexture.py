@@ -10,6 +10,7 @@ import click
 
 from detangled_cli.console import (
     announce_first_run,
+    check_apart,
     input_argument,
     note,
     output_argument,
@@ -22,7 +23,7 @@ from detangled_cli.console import (
 from detangled_cli.heads import check_head_options, head_of, head_options
 from detangled_cli.presets import check_preset, preset_option, with_texture, written
 from detangled_cli.retexture_report import Stages, report, write_preview, write_report
-from detangled_cli.targets import fibre_attributes, texture_options, wanted_texture
+from detangled_cli.targets import fibre_attributes, texture_options, wanted
 
 if TYPE_CHECKING:
     import numpy as np
@@ -106,9 +107,9 @@ def command(
     report_target: Path | None,
     unit: str | None,
     threads: int | None,
-    thickness: str | None,
+    thickness: float | None,
     porosity: float | None,
-    **wanted: Any,
+    **texture_asked: Any,
 ) -> None:
     """Give a groom another texture, on its own style: one new strand for each of its style guides.
 
@@ -131,33 +132,35 @@ def command(
     from detangled.kernels import set_threads
     from detangled.presets import prepared_frames
     from detangled.retexturing import Options, retexture
+    from detangled.usable import check_usable
     from detangled.view.picture import check_target
 
     set_threads(threads)
     stages = Stages()
-    check_writable(target)
-    check_preset(preset, target)
+    asked_for = wanted(**texture_asked)
     check_head_options(head_source, head_unit, head_group)
     if head_source is None and on_penetration is not None:
         raise click.UsageError("--on-penetration goes with --head")
-    if head_source is not None and target.resolve() == head_source.resolve():
-        raise click.UsageError(f"{target} is the head: name another file to write")
-    for path, check in ((preview, check_target), (report_target, check_folder)):
-        if path is not None:
-            check(path)
-            if path.resolve() in {other.resolve() for other in (source, target, head_source) if other is not None}:
-                raise click.UsageError(f"{path} is a groom or a head already: name another file")
-    fibre = fibre_attributes(thickness, porosity)
+    check_apart(target, head_source, asked_for.source)
+    check_apart(preview, source, target, head_source, asked_for.source)
+    check_apart(report_target, source, target, head_source, asked_for.source, preview)
+    check_preset(preset, target)
+    check_writable(target)
+    if preview is not None:
+        check_target(preview)
+    if report_target is not None:
+        check_folder(report_target)
     with stages.stage("read"):
         frames = read_frames(source, unit=unit)
         groom = frames.groom
         for sentence in groom.notes:
             warn(f"{source}: {sentence}")
+        check_usable(groom, source)
         head = head_of(groom, head_source, head_unit, head_group)
-    groom = replace(groom, attributes={**groom.attributes, **fibre})
-    announce_first_run("placing.resample")
+    groom = replace(groom, attributes={**groom.attributes, **fibre_attributes(thickness, porosity)})
+    announce_first_run("detangled.grooming.placing.resample")
     with stages.stage("texture"):
-        texture = wanted_texture(**wanted, seed=seed)
+        texture = asked_for.texture(seed)
     options = Options(
         Length(length), seed, steps, max_points, head, OnPenetration(on_penetration or "rotate"), _factor(density, head)
     )

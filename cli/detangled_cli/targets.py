@@ -2,21 +2,23 @@
 
 from __future__ import annotations
 
-from dataclasses import replace
+from dataclasses import dataclass, replace
 from pathlib import Path
 from typing import TYPE_CHECKING
 
 import click
 
 from detangled.errors import ModelError
-from detangled_cli.console import UNIT, Command, note, progress_bar, warn
+from detangled_cli.console import Command, note, progress_bar, warn
+from detangled_cli.option_values import HAIR_TYPE, PROFILE, SHARE, THICKNESS, UNIT, wrong_usage
 
 if TYPE_CHECKING:
     from detangled.base_texture import Texture
     from detangled.diffusion.finetune import FineTuning
     from detangled.fitted import FittedTexture
+    from detangled.from_numbers import Asked
     from detangled.groom import Attribute, Groom
-
+    from detangled.texture import HairType, Profile
 
 FITTING = ("patches", "finetune")  # of either the first is the default
 ASKING = ("library", "conditioned", "guided", "both")
@@ -34,7 +36,7 @@ def fitting_option(command: Command) -> Command:
 
 
 def texture_options(command: Command) -> Command:
-    """What a verb takes to be told a texture, as ``texture_source``, ``method`` and so on: see ``wanted_texture``."""
+    """What a verb takes to be told a texture, as ``texture_source``, ``method`` and so on: see ``wanted``."""
     for option in reversed(
         (
             click.option(
@@ -44,15 +46,26 @@ def texture_options(command: Command) -> Command:
                 type=click.Path(path_type=Path),
                 help="Strands of the new texture (.abc, .obj, .npz), or a .texture made by detangled fit.",
             ),
-            click.option("--type", "hair", metavar="T", help="Hair type: 1A to 4C, I to VIII, straw, marker."),
-            click.option("--radius", metavar="R", help="Of the curls: 4mm; 6mm:2mm runs from root to tip."),
-            click.option("--wavelength", metavar="W", help="From a curl to the next: 9mm; also from root to tip."),
             click.option(
-                "--twist", type=float, metavar="T_f", help="Prevalence of sudden twists, 0 to 1: see label --explain."
+                "--type", "hair", type=HAIR_TYPE, metavar="T", help="Hair type: 1A to 4C, I to VIII, straw, marker."
             ),
-            click.option("--thickness", metavar="D", help="Of the fibre, 70um: written as width. It changes no shape."),
             click.option(
-                "--porosity", type=float, metavar="P", help="0 to 1: written as an attribute. It changes no shape."
+                "--radius", type=PROFILE, metavar="R", help="Of the curls: 4mm; 6mm:2mm runs from root to tip."
+            ),
+            click.option(
+                "--wavelength", type=PROFILE, metavar="W", help="From a curl to the next: 9mm; also from root to tip."
+            ),
+            click.option(
+                "--twist", type=SHARE, metavar="T_f", help="Prevalence of sudden twists, 0 to 1: see label --explain."
+            ),
+            click.option(
+                "--thickness",
+                type=THICKNESS,
+                metavar="D",
+                help="Of the fibre, 70um: written as width. It changes no shape.",
+            ),
+            click.option(
+                "--porosity", type=SHARE, metavar="P", help="0 to 1: written as an attribute. It changes no shape."
             ),
             click.option(
                 "--method",
@@ -73,18 +86,43 @@ def texture_options(command: Command) -> Command:
     return command
 
 
-def wanted_texture(
+@dataclass(frozen=True)
+class Wanted:
+    """A texture as ``texture_options`` ask for it: a file, of strands or of what was learned from some, or numbers."""
+
+    what: Path | Asked
+    method: str | None
+    finite_differences: bool = False
+    target_unit: str | None = None
+
+    @property
+    def source(self) -> Path | None:
+        """The file that it is learned from, if there is one."""
+        return self.what if isinstance(self.what, Path) else None
+
+    def texture(self, seed: int) -> Texture:
+        """Learn it or look it up."""
+        if isinstance(self.what, Path):
+            return fitted_texture(self.what, self.target_unit, self.method, seed, unit_option="--target-unit")
+        from detangled.from_numbers import asked_texture
+
+        note(f"texture: {self.what}")
+        return asked_texture(self.what, self.method or ASKING[0], finite_differences=self.finite_differences)
+
+
+def wanted(
     texture_source: Path | None,
-    hair: str | None,
-    radius: str | None,
-    wavelength: str | None,
+    hair: HairType | None,
+    radius: Profile | None,
+    wavelength: Profile | None,
     twist: float | None,
     method: str | None,
     finite_differences: bool,
     target_unit: str | None,
-    seed: int,
-) -> Texture:
-    """The texture that ``texture_options`` ask for: by examples, or by a type and numbers."""
+) -> Wanted:
+    """What ``texture_options`` ask for: by examples, or by a type and numbers. Raises UsageError where it is nothing
+    that there is.
+    """
     numbers = {"--type": hair, "--radius": radius, "--wavelength": wavelength, "--twist": twist}
     given = [name for name, value in numbers.items() if value is not None]
     if texture_source is not None:
@@ -92,42 +130,31 @@ def wanted_texture(
             raise click.UsageError(f"--target tells the texture already: leave {' and '.join(given)} out, or --target")
         if method in ASKING or finite_differences:
             raise click.UsageError(f"--method {', '.join(ASKING)} and --finite-differences go with a type or numbers")
-        return fitted_texture(texture_source, target_unit, method, seed, unit_option="--target-unit")
+        return Wanted(texture_source, method, target_unit=target_unit)
     if not given:
         raise click.UsageError(f"which texture? Give --target, or one or more of {', '.join(numbers)}")
-    method = method or ASKING[0]
     if method in FITTING or target_unit is not None:
         raise click.UsageError(f"--method {' and '.join(FITTING)} and --target-unit go with --target")
     if finite_differences and method not in ("guided", "both"):
         raise click.UsageError("--finite-differences goes with --method guided or both")
-    from detangled.asked import asked, asked_texture
-    from detangled.texture import hair_type, parse_profile
+    from detangled.from_numbers import asked
 
-    what = asked(
-        None if hair is None else hair_type(hair),
-        None if radius is None else parse_profile(radius, "--radius"),
-        None if wavelength is None else parse_profile(wavelength, "--wavelength"),
-        twist,
-    )
-    note(f"texture: {what}")
-    return asked_texture(what, method, finite_differences=finite_differences)
+    with wrong_usage():
+        return Wanted(asked(hair, radius, wavelength, twist), method, finite_differences)
 
 
-def fibre_attributes(thickness: str | None, porosity: float | None) -> dict[str, Attribute]:
+def fibre_attributes(thickness: float | None, porosity: float | None) -> dict[str, Attribute]:
     """What a groom is told of its fibres: their thickness as ``width`` [cm], and their porosity."""
     import numpy as np
 
     from detangled.groom import Attribute, Scope
-    from detangled.texture import check_porosity, check_thickness, parse_length
 
-    told: dict[str, float] = {}
-    if thickness is not None:
-        told["width"] = parse_length(thickness, "--thickness")
-        check_thickness(1e4 * told["width"])
-    if porosity is not None:
-        told["porosity"] = porosity
-        check_porosity(porosity)
-    return {name: Attribute(np.array([value], dtype=np.float32), Scope.GROOM) for name, value in told.items()}
+    told = {"width": thickness, "porosity": porosity}
+    return {
+        name: Attribute(np.array([value], dtype=np.float32), Scope.GROOM)
+        for name, value in told.items()
+        if value is not None
+    }
 
 
 def fitted_texture(
@@ -152,11 +179,12 @@ def fitted_texture(
             )
     else:
         from detangled.formats import read
-        from detangled.grooming.guides import usable_strands
+        from detangled.usable import check_usable, usable_strands
 
         strands = read(target, unit=unit)
         for sentence in strands.notes:
             warn(f"{target}: {sentence.replace('--unit', unit_option)}")
+        check_usable(strands, target)
         unusable = strands.strand_count - int(usable_strands(strands).sum())
         if unusable:
             warn(f"{target}: {unusable} of {strands.strand_count} strands cannot be used and are left out")

@@ -12,6 +12,7 @@ import click
 
 from detangled.errors import WriteError
 from detangled_cli.console import announce_first_run, hush, note, progress_bar, quiet_option, threads_option
+from detangled_cli.option_values import SHARE, FiniteRange
 
 if TYPE_CHECKING:
     from detangled_training.denoiser_training import Training, TrainingOptions
@@ -73,7 +74,7 @@ def command(ctx: click.Context) -> None:
 @click.option("--batch", type=NUMBER, metavar="N", help="Strands of a step, shared by all processes. Default: 32.")
 @click.option(
     "--learning-rate",
-    type=click.FloatRange(min=0.0, min_open=True),
+    type=FiniteRange(min=0.0, min_open=True),
     metavar="X",
     help="The highest: it rises at first, then falls. Default: 0.0004.",
 )
@@ -229,7 +230,7 @@ def export(source: Path, folder: Path, threads: int | None) -> None:
 @click.option("--count", type=NUMBER, required=True, metavar="N", help="Base strands, of all hair types alike.")
 @click.option(
     "--untyped",
-    type=click.FloatRange(0.0, 1.0),
+    type=SHARE,
     default=UNTYPED,
     metavar="SHARE",
     help=f"Share of strands of no type, their numbers drawn without regard to each other. Default: {UNTYPED}.",
@@ -257,7 +258,7 @@ def data(
     from detangled_training.variants import VariantOptions
 
     options = VariantOptions(hung=(variants or VARIANTS) if simulated else 0, untyped=untyped)
-    announce_first_run("resting.hang_all" if simulated else "winding.winding")
+    announce_first_run("detangled_training.resting.hang_all" if simulated else "detangled.geometry.winding.winding")
     began = time.monotonic()
     try:
         with progress_bar("strands", count) as bar:
@@ -294,7 +295,7 @@ def library(folder: Path, count: int, seed: int, threads: int | None) -> None:
     from detangled.kernels import set_threads
     from detangled_training.library import write_library
 
-    announce_first_run("resting.hang_all")
+    announce_first_run("detangled_training.resting.hang_all")
     set_threads(threads)
     with progress_bar("strands", count) as bar:
         path, strands = write_library(folder, count, seed, bar.update)

@@ -9,6 +9,7 @@ import click
 
 from detangled_cli.console import (
     announce_first_run,
+    check_apart,
     file_names,
     input_argument,
     note,
@@ -72,15 +73,13 @@ def command(
     sources = [source] if after is None else [source, after]
     target = target or Path(f"{sources[-1].stem}.html")
 
-    from detangled.errors import WriteError
+    check_apart(target, head_source, *sources)
+
     from detangled.formats import read
     from detangled.kernels import set_threads
     from detangled.view import page
 
     page.check_target(target)
-    for path in [*sources, *([] if head_source is None else [head_source])]:
-        if target.exists() and path.exists() and target.samefile(path):
-            raise WriteError(f"{target}: is an input, which would be lost: choose another file")
     set_threads(threads)
     grooms = []
     for path in sources:
@@ -106,7 +105,7 @@ def _shown(groom: Groom, name: str, no_labels: bool) -> Shown:
     from detangled.labeling import label
     from detangled_cli.label_summary import is_readable, summary, why_unread
 
-    announce_first_run("labeling.points_per_turn")
+    announce_first_run("detangled.labeling.points_per_turn")
     with progress_bar(f"labels of {name}", groom.strand_count) as bar:
         labels = label(groom, bar.update)
     facts: dict[str, Any] = summary(labels)

@@ -11,10 +11,10 @@ from importlib import import_module
 from typing import TYPE_CHECKING, Any
 
 if TYPE_CHECKING:
-    from detangled.asked import asked, asked_texture
     from detangled.fitted import load_texture, save_texture
     from detangled.fitting import fit
     from detangled.formats import read, write
+    from detangled.from_numbers import asked, asked_texture
     from detangled.generation import generate
     from detangled.groom import Attribute, Groom, Scope
     from detangled.grooming.guides import guides_groom as guides
@@ -32,8 +32,8 @@ _WHERE = {
     "read": ("detangled.formats", "read"),
     "write": ("detangled.formats", "write"),
     "fit": ("detangled.fitting", "fit"),
-    "asked": ("detangled.asked", "asked"),
-    "asked_texture": ("detangled.asked", "asked_texture"),
+    "asked": ("detangled.from_numbers", "asked"),
+    "asked_texture": ("detangled.from_numbers", "asked_texture"),
     "generate": ("detangled.generation", "generate"),
     "save_texture": ("detangled.fitted", "save_texture"),
     "load_texture": ("detangled.fitted", "load_texture"),

@@ -20,7 +20,8 @@ from detangled.geometry.inputs import compiled_input
 from detangled.groom import Groom
 from detangled.grooming.carrying import bound, carried, first_frames
 from detangled.grooming.following import followed_guides, root_rotations, windows
-from detangled.grooming.guides import StyleGuides, style_guides, usable_strands
+from detangled.grooming.guides import StyleGuides, style_guides
+from detangled.usable import usable_strands
 
 # A styled root this far from the old one [cm] is still the same.
 SAME_ROOT = 1e-4

@@ -21,11 +21,12 @@ from detangled.geometry.arc import arc_lengths
 from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
 from detangled.groom import Groom, offsets_of
-from detangled.grooming.guides import style_guides, usable_strands
+from detangled.grooming.guides import style_guides
 from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
 from detangled.synthesis import synthesise
+from detangled.usable import WHY_UNUSABLE, usable_strands
 
 POINTS_PER_TURN = 16  # of a new strand, and of targets before they are measured
 COARSE_CELLS = 512  # of a strand whose turns are only to be counted
@@ -96,10 +97,7 @@ def measured(groom: Groom, grid: Grid) -> FittedTexture:
     """What the strands of a groom are like, on such a grid: all there is to a texture by patches."""
     kept = np.flatnonzero(usable_strands(groom))
     if len(kept) == 0:
-        raise TextureError(
-            f"none of the {groom.strand_count} target strands can be used: each has fewer than two distinct points, "
-            "a coordinate that is not finite, or is longer than 20 m (is the unit right?)"
-        )
+        raise TextureError(f"none of the {groom.strand_count} target strands can be used: {WHY_UNUSABLE}")
     if len(kept) > MOST_STRANDS:
         kept = kept[np.linspace(0, len(kept) - 1, MOST_STRANDS).round().astype(np.int64)]
     sparse = style_guides(groom.select(kept))

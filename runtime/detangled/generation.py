@@ -11,6 +11,7 @@ from scipy.spatial.transform import Rotation
 
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
+from detangled.engines import engine_of
 from detangled.errors import TextureError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths, arc_positions
@@ -23,6 +24,7 @@ from detangled.synthesis import synthesise
 
 CHUNK = 512  # strands made at once
 LENGTHS = (0.1, 2000.0)  # [cm]
+MOST_STRANDS = 4_000_000
 SPARE = 1.02  # of the arc, to cut from
 APART, LEAST_RADIUS = 4.0, 0.05  # radii between the axes of neighbours, each at least so many cm
 IN_ROW = 16
@@ -43,19 +45,19 @@ def generate(
     0.1 cm or above 20 m.
     """
     given = np.asarray(length, dtype=np.float64)
-    if count < 1 or given.shape not in ((), (1,), (count,)):
+    check_asked(count, given)
+    if given.shape not in ((), (1,), (count,)):
         raise TextureError(f"generate at least one strand, with a length for each or one for all, not {given.shape}")
-    if not ((given >= LENGTHS[0]) & (given <= LENGTHS[1])).all():
-        raise TextureError(f"generate strands of {LENGTHS[0]:g} to {LENGTHS[1]:g} cm")
     lengths = np.array(np.broadcast_to(given, (count,)))
     spare = SPARE if texture.settling is None else SPARE * MOST_RESIZED
     arcs, short = arcs_to_make(texture, lengths * spare, Length.STRAND)
     read = drawn_arcs(texture, lengths, Length.STRAND)
+    engine = engine_of(texture)
     strands: list[NDArray[np.float64]] = []
     for first in range(0, count, CHUNK):
         part = slice(first, min(first + CHUNK, count))
         names = np.arange(part.start, part.stop)
-        values, starts = synthesise(texture, arcs[part], names, seed, steps, progress)
+        values, starts = synthesise(texture, arcs[part], names, seed, steps, progress, engine)
         dropped = np.where(short[part], DROPPED_TURNS * texture.turn, 0.0)
         fine, offsets = canonical_strands(values, starts, short[part] & texture.stiff, dropped, texture.wave_turn)
         if texture.settling is not None:
@@ -71,6 +73,15 @@ def generate(
         turned = Rotation.from_euler("z", turns_about_axis(seed, names)[:, None]).as_matrix() * scale[:, None, None]
         strands.extend(points[a:b] @ turn.T for (a, b), turn in zip(pairwise(sparse), turned, strict=True))
     return Groom.from_strands(strands, up="z")
+
+
+def check_asked(count: int, lengths: ArrayLike) -> None:
+    """Raise TextureError for a number of strands, or lengths [cm], that are not made."""
+    if not 1 <= count <= MOST_STRANDS:
+        raise TextureError(f"{count} strands cannot be made: ask for 1 to {MOST_STRANDS:,}")
+    given = np.asarray(lengths, dtype=np.float64)
+    if not ((given >= LENGTHS[0]) & (given <= LENGTHS[1])).all():
+        raise TextureError(f"a strand is made {LENGTHS[0]:g} to {LENGTHS[1]:g} cm long")
 
 
 def side_by_side(groom: Groom, in_row: int = IN_ROW) -> Groom:

@@ -11,6 +11,7 @@ import hashlib
 import importlib.util
 import os
 import sys
+from importlib import import_module
 from pathlib import Path
 from typing import Any
 
@@ -41,8 +42,18 @@ def cache_directory() -> Path:
 
 
 def is_first_run(kernel_name: str) -> bool:
-    """Whether a kernel (``module.function``) has not been compiled yet, so that its verb will take a while."""
-    return not any(cache_directory().rglob(f"{kernel_name}*.nbi"))
+    """Whether a kernel (``package.module.function``) is not compiled as it stands, so that its verb will take a while.
+
+    Other copies of detangled may share the cache: theirs are in folders of their own.
+    """
+    module, _, name = kernel_name.rpartition(".")
+    found = getattr(import_module(module), name)
+    if not hasattr(found, "stats"):
+        return False  # nothing is compiled where numba is told not to (NUMBA_DISABLE_JIT)
+    source = found.py_func.__code__
+    index = f"{Path(source.co_filename).stem}.{name}-{source.co_firstlineno}.*nbi"
+    written = Path(source.co_filename).stat().st_mtime
+    return all(path.stat().st_mtime < written for path in Path(found.stats.cache_path).glob(index))
 
 
 os.environ.setdefault("NUMBA_CACHE_DIR", str(cache_directory()))

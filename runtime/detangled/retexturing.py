@@ -14,7 +14,7 @@ from numpy.typing import NDArray
 
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
-from detangled.errors import ReadError
+from detangled.engines import engine_of
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
@@ -26,6 +26,7 @@ from detangled.grooming.lengths import Length, Seats, canonical_of, strands_on_g
 from detangled.grooming.placing import resample
 from detangled.head import Head
 from detangled.synthesis import synthesise
+from detangled.usable import check_usable
 
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
@@ -88,12 +89,8 @@ def retexture(
     strands were finished. Raises ReadError where no strand can be used, DetangledError where the density is none.
     """
     options = options or Options()
+    check_usable(groom)
     guides = style_guides(groom)
-    if len(guides.kept) == 0:
-        raise ReadError(
-            f"none of the {groom.strand_count} strands can be used: each has fewer than two distinct points, a "
-            "coordinate that is not finite, or is longer than 20 m (is the unit right?)"
-        )
     keeper = None if options.head is None else Keeper(options.head, groom, texture, options.on_penetration)
     notes: list[str] = []
     lost_here: list[str] = []
@@ -128,16 +125,17 @@ def retexture(
     reached = np.ones(len(guides.kept))
     per_turn = np.full(len(guides.kept), float(POINTS_PER_TURN))
     # Strands on grids of one size are made together.
+    engine = engine_of(texture)
     order = np.argsort(texture.grid_cells(arcs), kind="stable")
     for first in range(0, len(order), CHUNK):
         members = np.sort(order[first : first + CHUNK])
         names = guides.kept[members]
-        values, starts = synthesise(texture, arcs[members], names, options.seed, options.steps, progress)
+        values, starts = synthesise(texture, arcs[members], names, options.seed, options.steps, progress, engine)
         here = seats.select(members)
+        drawn = canonical_of(values, starts, here)
         if texture.settling is not None:
-            drawn = canonical_of(values, starts, here)
             here = replace(here, sizes=texture.settling.sizes(*drawn, read[members]))
-        made = strands_on_guides(values, starts, here, options.length)
+        made = strands_on_guides(values, starts, drawn, here, options.length)
         reached[members] = made.reached
         needed = _points_needed(texture, made.points, made.offsets)
         counts = np.maximum(needed, guides.groom.point_counts[members])

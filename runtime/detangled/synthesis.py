@@ -13,7 +13,7 @@ from numpy.typing import NDArray
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.diffusion.steering import with_arcs
-from detangled.engines import engine_of
+from detangled.engines import Engine, engine_of
 from detangled.groom import offsets_of
 
 BATCH = 128  # strands denoised at once: some megabytes
@@ -27,14 +27,16 @@ def synthesise(
     seed: int = 0,
     steps: int = DEFAULT_STEPS,
     progress: Callable[[int], object] | None = None,
+    engine: Engine | None = None,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Signals (C, 3) of new strands of a texture, one after another, and where each starts, (S + 1,).
 
     arcs: (S,), arc lengths [cm]; the mean of each strand's v equals its own. names: (S,), numbers that tell strands
     apart: a strand depends on the seed, its own name and its number of cells, and not on the others.
-    progress: told how many strands were finished.
+    progress: told how many strands were finished. engine: what draws them, ``engine_of`` the texture where None; to
+    make one anew loads networks.
     """
-    engine = engine_of(texture)
+    engine = engine or engine_of(texture)
     cells = texture.grid_cells(arcs)
     starts = offsets_of(cells)
     out = np.empty((starts[-1], 3))

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import os
 from collections.abc import Callable
 from dataclasses import replace
 from pathlib import Path
@@ -52,6 +53,30 @@ def test_whole_models_are_accepted(denoiser: Model, step: Model) -> None:
         assert (model.parameters, model.cells, model.architecture) == (PARAMETERS, CELLS, ARCHITECTURE)
         assert (model.whitening, model.schedule) == (WHITENING, CosineSchedule())
     assert same_network(denoiser, step)
+
+
+def test_a_model_that_was_written_but_for_its_manifest_is_refused(own: Path, monkeypatch: pytest.MonkeyPatch) -> None:
+    onnx_files = pytest.importorskip("detangled_training.onnx_files", reason="models are written by the training")
+    path = own / f"{FILES[DENOISER]}.onnx"
+    manifest = json.loads(path.with_suffix(".json").read_text(encoding="utf-8"))
+    data = path.read_bytes()
+    put = os.replace
+
+    def stopped(made: Path, place: Path) -> None:
+        if place.suffix == ".json":
+            raise KeyboardInterrupt
+        put(made, place)
+
+    with monkeypatch.context() as patch:
+        patch.setattr(os, "replace", stopped)
+        with pytest.raises(KeyboardInterrupt):
+            onnx_files.write_model(path, data + b"more", manifest, lambda _: 0.0)
+    with pytest.raises(
+        ModelError, match=r"denoiser\.onnx: its bytes are not those its manifest was written for: .*export"
+    ):
+        load_model(DENOISER, own)
+    onnx_files.write_model(path, data, manifest, lambda _: 0.0)
+    assert load_model(DENOISER, own).data == data
 
 
 @pytest.mark.parametrize("kind", [DENOISER, TRAINING_STEP])

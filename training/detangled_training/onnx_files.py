@@ -74,7 +74,10 @@ def _narrowed(tensor: onnx.TensorProto) -> onnx.TensorProto:
 
 
 def write_model(path: Path, data: bytes, manifest: dict[str, Any], check: Callable[[Path], float]) -> Exported:
-    """Write a model and its manifest, both whole or not at all."""
+    """Write a model and its manifest, each of them whole.
+
+    Stopped between the two, it leaves a model that is not its manifest's: whoever reads them refuses them for that.
+    """
     manifest = {**manifest, "sha256": hashlib.sha256(data).hexdigest()}
     text = json.dumps(manifest, indent=2) + "\n"
     new = [

@@ -6,7 +6,7 @@ import os
 import secrets
 import stat
 from collections.abc import Callable, Iterable, Iterator
-from contextlib import contextmanager
+from contextlib import contextmanager, suppress
 from dataclasses import replace
 from importlib import import_module
 from pathlib import Path
@@ -148,10 +148,17 @@ def check_folder(path: Path) -> None:
 def _target_of(path: Path) -> Path:
     """What a link points to is replaced, not the link. Raises WriteError where there is no folder for it."""
     target = Path(os.path.realpath(path))
-    if target.is_dir():
+    # Names that are too long for any file are none here, where pathlib raises.
+    if os.path.isdir(target):
         raise WriteError(f"{path}: a folder, not a file")
-    if not target.parent.is_dir():
+    if not os.path.isdir(target.parent):
         raise WriteError(f"{path}: the folder {target.parent} does not exist")
+    try:
+        target.lstat()
+    except FileNotFoundError:
+        pass
+    except OSError as error:
+        raise WriteError(f"{path}: cannot be written: {error.strerror or error}") from error
     return target
 
 
@@ -180,7 +187,8 @@ def replacing(path: Path) -> Iterator[Path]:
             raise WriteError(said) from error
     except BaseException:
         # Interrupts too: nothing half written stays behind.
-        beside.unlink(missing_ok=True)
+        with suppress(OSError):
+            beside.unlink()
         raise
 
 

@@ -18,6 +18,7 @@ from numpy.typing import NDArray
 from detangled.errors import ReadError
 from detangled.formats import abc_check, register
 from detangled.formats.abc_values import BINDING_ERRORS, Value, read_property
+from detangled.formats.abc_walk import matrix_of, transform_of, walk
 from detangled.formats.abc_write import DEFAULT_UP, GROOM_PROPERTIES, write
 from detangled.formats.curve_bases import SmoothCurves
 from detangled.formats.frames import ONLY_FIRST
@@ -83,17 +84,13 @@ def _up(scene: Scene) -> str:
 def collected(top: Any) -> Scene:
     """Find the curves below an object."""
     scene = Scene()
-    waiting: list[tuple[Any, tuple[Any, ...]]] = [(top, ())]
     _find_properties(top.getProperties(), scene)
-    while waiting:
-        thing, above = waiting.pop()
+    for thing, above in walk(top):
         header = thing.getHeader()
         if AbcGeom.IXform.matches(header):
-            schema = AbcGeom.IXform(thing.getParent(), thing.getName()).getSchema()
+            schema = transform_of(thing)
             _find_properties(schema.getUserProperties(), scene)
-            if schema.getNumSamples():
-                scene.time_samples = max(scene.time_samples, schema.getNumSamples())
-                above = (*above, schema)
+            scene.time_samples = max(scene.time_samples, schema.getNumSamples())
         elif AbcGeom.ICurves.matches(header):
             curves = AbcGeom.ICurves(thing.getParent(), thing.getName())
             if curves.getSchema().getNumSamples():
@@ -101,19 +98,7 @@ def collected(top: Any) -> Scene:
                 scene.curves.append((curves, above))
         elif AbcGeom.IPolyMesh.matches(header) or AbcGeom.ISubD.matches(header):
             scene.meshes.append(thing.getName())
-        # Backwards, since the last one in is the first one out.
-        waiting.extend((thing.getChild(i), above) for i in reversed(range(thing.getNumChildren())))
     return scene
-
-
-def matrix_of(above: tuple[Any, ...], selector: Any = None) -> NDArray[np.float64]:
-    """The matrix (4, 4) that takes what is below some transforms to the world (row vectors), at a time or first."""
-    matrix = np.eye(4)
-    for schema in above:
-        sample = schema.getValue() if selector is None else schema.getValue(selector)
-        own = np.array([[entry for entry in row] for row in sample.getMatrix()], dtype=np.float64)
-        matrix = own @ matrix if sample.getInheritsXforms() else own
-    return matrix
 
 
 def _find_properties(compound: Any, scene: Scene) -> None:

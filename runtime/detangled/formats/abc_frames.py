@@ -12,8 +12,9 @@ from numpy.typing import NDArray
 
 from detangled.errors import ReadError
 from detangled.formats import abc_check
-from detangled.formats.abc import Scene, collected, counts_and_points, evaluated, matrix_of
+from detangled.formats.abc import Scene, collected, counts_and_points, evaluated
 from detangled.formats.abc_values import BINDING_ERRORS
+from detangled.formats.abc_walk import matrix_of
 from detangled.formats.abc_write import write_frames
 from detangled.formats.transforms import to_world
 

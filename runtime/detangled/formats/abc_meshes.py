@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 from detangled.errors import ReadError
 from detangled.formats import abc_check
 from detangled.formats.abc_values import BINDING_ERRORS
+from detangled.formats.abc_walk import matrix_of, walk
 
 _UV = "uv"
 
@@ -34,23 +35,11 @@ def read_meshes(path: Path) -> list[AbcMesh]:
     abc_check.check(path)
     try:
         archive = Abc.IArchive(str(path))
-        waiting: list[tuple[Any, NDArray[np.float64]]] = [(archive.getTop(), np.eye(4))]
         found = []
-        while waiting:
-            thing, matrix = waiting.pop()
-            header = thing.getHeader()
-            if AbcGeom.IXform.matches(header):
-                schema = AbcGeom.IXform(thing.getParent(), thing.getName()).getSchema()
-                if schema.getNumSamples():
-                    sample = schema.getValue()
-                    own = np.array([[entry for entry in row] for row in sample.getMatrix()], dtype=np.float64)
-                    matrix = own @ matrix if sample.getInheritsXforms() else own
-            elif AbcGeom.IPolyMesh.matches(header):
-                found += _mesh(AbcGeom.IPolyMesh(thing.getParent(), thing.getName()), matrix)
-            elif AbcGeom.ISubD.matches(header):
-                found += _mesh(AbcGeom.ISubD(thing.getParent(), thing.getName()), matrix)
-            # Backwards, since the last one in is the first one out.
-            waiting.extend((thing.getChild(i), matrix) for i in reversed(range(thing.getNumChildren())))
+        for thing, above in walk(archive.getTop()):
+            for kind in (AbcGeom.IPolyMesh, AbcGeom.ISubD):
+                if kind.matches(thing.getHeader()):
+                    found += _mesh(kind(thing.getParent(), thing.getName()), matrix_of(above))
         return found
     except BINDING_ERRORS as error:
         raise ReadError(f"{path}: damaged, or not as Alembic lays it down: {error}") from error

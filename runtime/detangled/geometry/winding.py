@@ -17,15 +17,17 @@ OUTLIER_DEVIATIONS = 3.0
 
 
 @kernel
-def _radius(canonical: NDArray[np.float64]) -> float:
-    r = np.sqrt(canonical[:, 0] ** 2 + canonical[:, 1] ** 2)
-    mean = r.mean()
-    deviation = r.std()
+def mean_without_outliers(values: NDArray[np.float64]) -> float:
+    """The mean of values (N,), those beyond three standard deviations left out; 0 for none."""
+    if values.shape[0] == 0:
+        return 0.0
+    mean = values.mean()
+    deviation = values.std()
     total = 0.0
     count = 0
-    for i in range(r.shape[0]):
-        if abs(r[i] - mean) <= OUTLIER_DEVIATIONS * deviation + 1e-12:
-            total += r[i]
+    for i in range(values.shape[0]):
+        if abs(values[i] - mean) <= OUTLIER_DEVIATIONS * deviation + 1e-12:
+            total += values[i]
             count += 1
     return total / max(count, 1)
 
@@ -44,7 +46,7 @@ def winding(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> tuple[ND
         n = strand.shape[0]
         if n < 3:
             continue
-        radius[s] = _radius(strand)
+        radius[s] = mean_without_outliers(np.sqrt(strand[:, 0] ** 2 + strand[:, 1] ** 2))
         if radius[s] < STRAIGHT_RADIUS:
             continue
         total = 0.0

@@ -15,15 +15,13 @@ from dataclasses import dataclass
 from math import inf
 
 import numpy as np
-from numpy.typing import NDArray
 
 from detangled.errors import DetangledError
-from detangled.geometry.winding import winding
+from detangled.geometry.winding import mean_without_outliers, winding
 from detangled.grooming.guides import StyleGuides
 from detangled.grooming.scalp import Scalp, scalp_of
 
 STRAIGHT_RADIUS = 0.01  # [cm] about a hair's width: nobody sees such a curl, and a guide does not have it
-OUTLIER_DEVIATIONS = 3.0
 # Tightest of the eight types from the widest is 28 times denser; beyond this the radii are not what they seem.
 MOST_FACTOR = 32.0
 
@@ -42,14 +40,6 @@ class DensityChange:
     notes: tuple[str, ...] = ()
 
 
-def without_outliers(values: NDArray[np.float64]) -> float:
-    """The mean of values (N,), those beyond three standard deviations left out; 0 for none."""
-    if len(values) == 0:
-        return 0.0
-    near = np.abs(values - values.mean()) <= OUTLIER_DEVIATIONS * values.std() + 1e-12
-    return float(values[near].mean())
-
-
 def input_radius(guides: StyleGuides, scalp: Scalp | None = None) -> tuple[float, float]:
     """Radius [cm] of a groom's strands in canonical space, and the share of them that are straight."""
     radius, _ = winding(guides.canonical(), guides.groom.offsets)
@@ -57,7 +47,7 @@ def input_radius(guides: StyleGuides, scalp: Scalp | None = None) -> tuple[float
     if straight.any():
         scalp = scalp or scalp_of(guides.groom.points[guides.groom.offsets[:-1]])
         radius = np.where(straight, scalp.packing_radius(), radius)
-    return without_outliers(radius), float(straight.mean()) if len(straight) else 0.0
+    return float(mean_without_outliers(radius)), float(straight.mean()) if len(straight) else 0.0
 
 
 def density_change(guides: StyleGuides, target_radius: float, scalp: Scalp | None = None) -> DensityChange:

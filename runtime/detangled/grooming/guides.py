@@ -13,11 +13,7 @@ from detangled.geometry.centerline import centerlines
 from detangled.geometry.inputs import compiled_input
 from detangled.groom import Attribute, Groom, Scope
 from detangled.kernels import parallel_kernel, prange
-
-# Float32 files resolve a head's coordinates to about this much [cm]; a strand within it is a single point.
-LEAST_EXTENT = 1e-6
-# No hair is longer than some metres: beyond this [cm] a coordinate is damaged, or the unit is wrong.
-GREATEST_EXTENT = 2e3
+from detangled.usable import usable_strands
 
 
 @dataclass(frozen=True)
@@ -41,23 +37,6 @@ class StyleGuides:
     def as_groom(self) -> Groom:
         """The guides as a groom of their own, with the strands' attributes."""
         return replace(self.groom, points=self.points)
-
-
-def usable_strands(groom: Groom) -> NDArray[np.bool_]:
-    """Which strands (S,) have finite coordinates throughout, at least two distinct points, and a hair's extent."""
-    counts = groom.point_counts
-    strand = np.repeat(np.arange(groom.strand_count), counts)
-    finite = np.isfinite(groom.points).all(axis=1)
-    ok = np.bincount(strand, ~finite, minlength=groom.strand_count) == 0
-    filled = counts > 0
-    extent = np.zeros(groom.strand_count)
-    if filled.any():
-        first = groom.offsets[:-1][filled]
-        with np.errstate(invalid="ignore"):
-            span = np.maximum.reduceat(groom.points, first) - np.minimum.reduceat(groom.points, first)
-        extent[filled] = span.max(axis=1)
-    with np.errstate(invalid="ignore"):
-        return ok & (counts >= 2) & (extent > LEAST_EXTENT) & (extent < GREATEST_EXTENT)
 
 
 def style_guides(groom: Groom) -> StyleGuides:

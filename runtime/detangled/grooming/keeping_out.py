@@ -9,11 +9,12 @@ from numpy.typing import NDArray
 
 from detangled.base_texture import Texture
 from detangled.groom import Groom
-from detangled.grooming.guides import StyleGuides, usable_strands
+from detangled.grooming.guides import StyleGuides
 from detangled.grooming.head_distance import HeadDistance, head_distance
 from detangled.grooming.interpenetration import Inside, OnPenetration, entering, inside, turned_out
 from detangled.grooming.lifting import Room
 from detangled.head import Head
+from detangled.usable import usable_strands
 
 HAIR_WIDTH = 0.008  # [cm] of hair, where a groom does not say
 THICKEST = 0.05  # [cm] what is said to be thicker is a strip or a tube

@@ -102,8 +102,17 @@ class Seated(NamedTuple):
     reached: NDArray[np.float64]
 
 
-def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats, length: Length) -> Seated:
-    """Build strands of signals (C, 3), those of strand s from row starts[s] on, on their guides at their lengths."""
+def strands_on_guides(
+    values: NDArray[np.float64],
+    starts: NDArray[np.int64],
+    drawn: tuple[NDArray[np.float64], NDArray[np.int64]],
+    seats: Seats,
+    length: Length,
+) -> Seated:
+    """Build strands of signals (C, 3), those of strand s from row starts[s] on, on their guides at their lengths.
+
+    drawn: what ``canonical_of`` makes of these, points (P, 3) [cm] and offsets (S + 1,).
+    """
     values = values.copy()
     count = len(starts) - 1
     done: list[NDArray[np.float64]] = [np.empty((0, 3))] * count
@@ -112,7 +121,10 @@ def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], se
     todo = np.arange(count)
     for rounds in range(1, MOST_ROUNDS + 1):
         goals = seats.goals[todo]
-        built = _built(*_rows(values, starts, todo), seats, todo, length)
+        chosen = seats.select(todo)
+        if rounds > 1:
+            drawn = canonical_of(*_rows(values, starts, todo), chosen)
+        built = _built(*drawn, chosen, length)
         lengths, offsets = built.lengths, built.offsets
         longest = (1.0 + MOST_CUT) * goals
         longest[seats.short[todo] | (rounds > STRICT_ROUNDS)] = np.inf
@@ -137,12 +149,8 @@ def strands_on_guides(values: NDArray[np.float64], starts: NDArray[np.int64], se
     return Seated(points, offsets, reached)
 
 
-def _built(
-    values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats, chosen: NDArray[np.int64], length: Length
-) -> Built:
-    """Strands of signals on the chosen seats, cut at their goals."""
-    seats = seats.select(chosen)
-    canonical, offsets = canonical_of(values, starts, seats)
+def _built(canonical: NDArray[np.float64], offsets: NDArray[np.int64], seats: Seats, length: Length) -> Built:
+    """Canonical strands (P, 3), as they are drawn, on their seats, cut at their goals."""
     if seats.sizes is not None:
         canonical = resized(canonical, offsets, seats.sizes)
     if seats.shape is not None:

@@ -28,6 +28,7 @@ from detangled.grooming.scalp_mesh import check_near, places_on
 from detangled.grooming.wisps import Wisps, wisps_of
 from detangled.head import Head
 from detangled.texture import Profile
+from detangled.usable import GREATEST_EXTENT, WHY_UNUSABLE
 
 AXIS_POINTS = 64  # of a hair's smooth axis: the style bends slowly
 MOST_POINTS = 24_000_000  # of all hairs, where no number is asked for: about a gigabyte with all that is made of them
@@ -74,8 +75,8 @@ class HairOptions:
         if self.points is not None and self.points < 2:
             raise DetangledError(f"a hair of {self.points} points is none: give 2 or more")
         for name, size in (("wisp radius", self.wisp_radius), ("width", self.width)):
-            if size is not None and not 0.0 < size < np.inf:
-                raise DetangledError(f"{name} {size:g} cm must be more than zero")
+            if size is not None and not 0.0 < size < GREATEST_EXTENT:
+                raise DetangledError(f"{name} {size:g} cm must be more than zero, and less than 20 m")
         if self.sub_clumps < 0:
             raise DetangledError(f"{self.sub_clumps} sub-clumps are none: give 0 or more")
 
@@ -128,7 +129,7 @@ def render_hairs(
     guides = style_guides(groom)
     usable = len(guides.kept)
     if usable == 0:
-        raise ReadError(f"none of the {groom.strand_count} strands can be a guide: each is a point, or not finite")
+        raise ReadError(f"none of the {groom.strand_count} strands can be a guide: {WHY_UNUSABLE}")
     if options.count < usable:
         raise DetangledError(
             f"{options.count} hairs of {usable} guide strands leave wisps without any: ask for {usable} or more"

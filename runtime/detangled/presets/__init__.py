@@ -17,10 +17,11 @@ from detangled.formats import objects
 from detangled.formats.frames import Frames
 from detangled.groom import Groom
 from detangled.grooming.fewer_points import FewerPoints, fewer_points, points_at
-from detangled.grooming.guides import attributes_at, usable_strands
+from detangled.grooming.guides import attributes_at
 from detangled.presets import unreal
 from detangled.presets.sizes import mixed_units
 from detangled.units import cm_per_unit, unit_name
+from detangled.usable import WHY_UNUSABLE, usable_strands
 
 # With fewer points a turn than this a curl becomes a zigzag: an octagon still misses its circle by 8 % of the radius.
 LEAST_A_TURN = 8.0
@@ -113,10 +114,7 @@ def preset(groom: Groom, name: str, root_uv: NDArray[np.float64] | None = None, 
     kept = np.flatnonzero(usable_strands(groom))
     dropped = groom.strand_count - len(kept)
     if len(kept) == 0:
-        raise DetangledError(
-            f"{engine.title} can use none of the {groom.strand_count} strands: each has fewer than two distinct "
-            "points, a coordinate that is not finite, or is longer than 20 m (is the unit right?)"
-        )
+        raise DetangledError(f"{engine.title} can use none of the {groom.strand_count} strands: {WHY_UNUSABLE}")
     if dropped:
         said.append(f"{dropped} strands without two distinct finite points were dropped: {engine.title} takes none")
         groom = groom.select(kept)

@@ -12,6 +12,7 @@ from numpy.typing import NDArray
 
 from detangled.errors import ReadError
 from detangled.formats.abc_values import BINDING_ERRORS, array_values, read_property
+from detangled.formats.abc_walk import matrix_of, transform_of, walk
 
 SCALAR, ARRAY, COMPOUND = "scalar", "array", "compound"
 
@@ -69,30 +70,27 @@ def contents(path: Path) -> Archive:
     try:
         archive = Abc.IArchive(str(path))
         found = Archive(top=_properties(archive.getTop().getProperties()))
-        _walk(archive.getTop(), 1.0, found)
+        for thing, above in walk(archive.getTop()):
+            _look_at(thing, above, found)
     except BINDING_ERRORS as error:
         raise ReadError(f"{path}: damaged, or not as Alembic lays it down: {error}") from error
     return found
 
 
-def _walk(thing: Any, scale: float, found: Archive) -> None:
+def _look_at(thing: Any, above: tuple[Any, ...], found: Archive) -> None:
     header = thing.getHeader()
     if AbcGeom.IXform.matches(header):
-        schema = AbcGeom.IXform(thing.getParent(), thing.getName()).getSchema()
+        schema = transform_of(thing)
         own = (*_properties(schema.getUserProperties()), *_properties(schema.getArbGeomParams()))
         if own:
             found.above.append((thing.getFullName(), own))
-        if schema.getNumSamples():
-            matrix = np.array([[entry for entry in row] for row in schema.getValue().getMatrix()], dtype=np.float64)
-            scale *= abs(float(np.linalg.det(matrix[:3, :3]))) ** (1 / 3)
     elif AbcGeom.ICurves.matches(header):
         schema = AbcGeom.ICurves(thing.getParent(), thing.getName()).getSchema()
         if schema.getNumSamples():
+            scale = abs(float(np.linalg.det(matrix_of(above)[:3, :3]))) ** (1 / 3)
             found.curves.append(_curves(thing, schema, scale))
     elif AbcGeom.IPolyMesh.matches(header) or AbcGeom.ISubD.matches(header):
         found.meshes.append(thing.getFullName())
-    for i in range(thing.getNumChildren()):
-        _walk(thing.getChild(i), scale, found)
 
 
 def _curves(thing: Any, schema: Any, scale: float) -> Curves:

@@ -7,10 +7,10 @@ from typing import TYPE_CHECKING
 import numpy as np
 
 from detangled.groom import Groom
-from detangled.grooming.guides import usable_strands
 from detangled.presets import Engine
 from detangled.presets.sizes import mixed_units
 from detangled.units import cm_per_unit, unit_name
+from detangled.usable import usable_strands
 from detangled.validation import Finding
 
 if TYPE_CHECKING:

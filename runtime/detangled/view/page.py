@@ -22,8 +22,8 @@ from detangled import __version__
 from detangled.errors import DetangledError, ReadError, WriteError
 from detangled.formats import check_folder, replacing
 from detangled.groom import Groom
-from detangled.grooming.guides import usable_strands
 from detangled.head import Head
+from detangled.usable import usable_strands
 from detangled.view.camera import view_rotation
 from detangled.view.page_points import STEPS, Gridded, byte_planes, gridded, packed
 from detangled.view.page_thinning import MOST_POINTS, thinned

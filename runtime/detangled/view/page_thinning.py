@@ -24,9 +24,9 @@ def thinned(groom: Groom, most_points: int = MOST_POINTS) -> tuple[Groom, NDArra
     total = len(groom.points)
     if total <= most_points:
         return groom, np.arange(groom.strand_count), []
-    from detangled.grooming.guides import usable_strands
     from detangled.grooming.placing import resample
     from detangled.labeling import points_per_turn
+    from detangled.usable import usable_strands
 
     rows = np.flatnonzero(usable_strands(groom))
     if len(rows) == 0:

@@ -6,7 +6,7 @@ from dataclasses import replace
 
 from PIL import Image
 
-from detangled.asked import asked, asked_texture
+from detangled.from_numbers import asked, asked_texture
 from detangled.groom import Groom
 from detangled.grooming.density import density_change
 from detangled.grooming.density_resampling import resampled

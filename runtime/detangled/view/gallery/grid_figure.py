@@ -5,8 +5,8 @@ from __future__ import annotations
 import numpy as np
 from PIL import Image
 
-from detangled.asked import asked, asked_texture
 from detangled.base_texture import Texture
+from detangled.from_numbers import asked, asked_texture
 from detangled.generation import generate
 from detangled.retexturing import Options, retexture
 from detangled.texture import hair_type

@@ -6,7 +6,7 @@ import numpy as np
 from numpy.typing import NDArray
 from PIL import Image
 
-from detangled.asked import asked, asked_texture
+from detangled.from_numbers import asked, asked_texture
 from detangled.geometry.centerline import centerlines
 from detangled.groom import Groom
 from detangled.grooming.guides import to_canonical

@@ -6,8 +6,8 @@ from dataclasses import dataclass
 
 import numpy as np
 
-from detangled.asked import asked, asked_texture
 from detangled.base_texture import Texture
+from detangled.from_numbers import asked, asked_texture
 from detangled.generation import generate
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.signal import signals

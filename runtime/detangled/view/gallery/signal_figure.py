@@ -7,7 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.asked import asked, asked_texture
+from detangled.from_numbers import asked, asked_texture
 from detangled.generation import generate
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.signal import signals

@@ -8,7 +8,7 @@ from itertools import pairwise
 import numpy as np
 from PIL import Image
 
-from detangled.asked import DEFAULT_METHOD, asked, asked_texture
+from detangled.from_numbers import DEFAULT_METHOD, asked, asked_texture
 from detangled.generation import generate
 from detangled.groom import Groom
 from detangled.labeling import label
