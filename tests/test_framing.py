@@ -10,6 +10,7 @@ from PIL import Image
 
 from detangled.errors import WriteError
 from detangled.groom import Groom
+from detangled.view import animation
 from detangled.view.animation import check_movie_target, save_movie
 from detangled.view.camera import view_turn
 from detangled.view.picture import SEPARATOR_PX, Style, render, turntable
@@ -135,6 +136,20 @@ def test_a_turn_that_fails_leaves_the_old_file(tmp_path: Path) -> None:
         save_movie(failing(), tmp_path / "turn.gif", 3)
     assert (tmp_path / "turn.gif").read_bytes() == b"old"
     assert [path.name for path in tmp_path.iterdir()] == ["turn.gif"]
+
+
+@pytest.mark.parametrize("suffix", [".gif", ".webp", ".apng"])
+def test_a_turn_that_takes_too_much_memory_is_refused_after_a_frame(
+    tmp_path: Path, monkeypatch: pytest.MonkeyPatch, suffix: str
+) -> None:
+    monkeypatch.setattr(animation, "MOST_BYTES", 3 * SIZE[0] * SIZE[1] * 4)
+    assert save_movie(turntable([tuft()], 4, SIZE), tmp_path / f"four{suffix}", 4)
+    turn = turntable([tuft()], 5, SIZE)
+    with pytest.raises(WriteError, match=r"5 frames of 72 x 72 pixels .* numbered \.png files"):
+        save_movie(turn, tmp_path / f"five{suffix}", 5)
+    assert len(list(turn)) == 4, "no further frame was drawn"
+    assert [path.name for path in tmp_path.iterdir()] == [f"four{suffix}"]
+    assert len(save_movie(turntable([tuft()], 5, SIZE), tmp_path / "five.png", 5)) == 5
 
 
 def test_turns_that_cannot_be_written_are_refused_before_they_are_drawn(tmp_path: Path) -> None:

@@ -16,6 +16,7 @@ from detangled.view.picture import Picture, save
 MOVING = {".gif": "GIF", ".webp": "WEBP", ".apng": "PNG"}
 SECONDS = 6.0  # of a turn
 SHORTEST_MS = 20  # browsers slow down what is shorter
+MOST_BYTES = 2_000_000_000  # of all frames together: Pillow holds them until a file that moves is written
 
 
 def check_movie_target(path: str | os.PathLike[str]) -> None:
@@ -36,7 +37,8 @@ def save_movie(pictures: Iterable[Picture], path: str | os.PathLike[str], frames
     """Write the frames of a turn, and return the files: one that plays in a loop, or one for each frame.
 
     ``out.png`` becomes ``out_0001.png`` and so on. Frames are drawn as they are written.
-    Raises WriteError as ``check_movie_target`` does, or where the disk refuses.
+    Raises WriteError as ``check_movie_target`` does, where frames that move would take more than MOST_BYTES of memory,
+    before the second one is drawn, or where the disk refuses.
     """
     path = Path(path)
     check_movie_target(path)
@@ -53,6 +55,12 @@ def save_movie(pictures: Iterable[Picture], path: str | os.PathLike[str], frames
         options |= {"quality": 88, "method": 4}
     with replacing(path) as beside:
         first = next(images)
+        taken = 3 * first.width * first.height * frames
+        if taken > MOST_BYTES:
+            raise WriteError(
+                f"{path}: {frames} frames of {first.width} x {first.height} pixels would take {taken / 1e9:.1f} GB of "
+                f"memory, of at most {MOST_BYTES / 1e9:g}: draw fewer or smaller ones, or numbered .png files"
+            )
         # Pillow goes over the frames of a PNG twice.
         rest = list(images) if suffix == ".apng" else images
         first.save(beside, format=MOVING[suffix], save_all=True, append_images=rest, **options)

@@ -69,13 +69,13 @@ def trace(curves: Curves, view: NDArray[np.float64], samples: int) -> tuple[NDAr
     """
     strands = len(curves.ids)
     counts = np.empty(strands, dtype=np.int64)
-    vertices, owners = np.empty((0, 3), dtype=np.float32), np.empty(0, dtype=np.int32)
-    given = (curves.points, curves.offsets, view, FLATNESS_PX * samples)
-    spread(lambda a, b: _trace(a, b, *given, False, counts, vertices, owners), strands)
-    ends = np.cumsum(counts)
-    vertices, owners = np.empty((ends[-1], 3), dtype=np.float32), np.empty(ends[-1], dtype=np.int32)
-    starts = ends - counts
-    spread(lambda a, b: _trace(a, b, *given, True, starts, vertices, owners), strands)
+    pieces = np.zeros(len(curves.points), dtype=np.uint8)
+    spread(
+        lambda a, b: _count(a, b, curves.points, curves.offsets, view, FLATNESS_PX * samples, pieces, counts), strands
+    )
+    starts = offsets_of(counts)
+    vertices, owners = np.empty((starts[-1], 3), dtype=np.float32), np.empty(starts[-1], dtype=np.int32)
+    spread(lambda a, b: _trace(a, b, curves.points, curves.offsets, pieces, starts, vertices, owners), strands)
     return vertices, owners
 
 
@@ -129,17 +129,25 @@ def _knot_step(p, a, b):  # type: ignore[no-untyped-def]
 
 
 @kernel
-def _trace(begin, end, points, offsets, view, flatness, fill, rows, vertices, owners):  # type: ignore[no-untyped-def]
-    """Count the vertices of each strand in ``rows``, or with ``fill`` write them from those rows on."""
+def _count(begin, end, points, offsets, view, flatness, pieces, counts):  # type: ignore[no-untyped-def]
+    """The straight pieces of each segment, (P,) by its first point, and the vertices of each strand, (S,)."""
+    for s in range(begin, end):
+        first, last = offsets[s], offsets[s + 1]
+        counts[s] = 1
+        for i in range(first, last - 1):
+            pieces[i] = _pieces(points, first, last, i, view, flatness)
+            counts[s] += pieces[i]
+
+
+@kernel
+def _trace(begin, end, points, offsets, pieces, starts, vertices, owners):  # type: ignore[no-untyped-def]
+    """Write the vertices of each strand and whose they are."""
     p = np.empty((4, 3))
     for s in range(begin, end):
         first, last = offsets[s], offsets[s + 1]
-        row = rows[s] if fill else 0
+        row = starts[s]
+        owners[row : starts[s + 1]] = s
         for i in range(first, last - 1):
-            pieces = _pieces(points, first, last, i, view, flatness)
-            if not fill:
-                row += pieces
-                continue
             for c in range(3):
                 p[1, c], p[2, c] = points[i, c], points[i + 1, c]
                 # Past its ends a strand goes on straight.
@@ -151,15 +159,9 @@ def _trace(begin, end, points, offsets, view, flatness, fill, rows, vertices, ow
                 # Cubic Hermite form; the tangents at both ends, times the step between them.
                 m0 = d1 * ((a - p[0, c]) / d0 - (p[2, c] - p[0, c]) / (d0 + d1)) + b
                 m1 = b - d1 * ((p[3, c] - a) / (d1 + d2) - (p[3, c] - p[2, c]) / d2)
-                for k in range(pieces):
-                    t = k / pieces
+                for k in range(pieces[i]):
+                    t = k / pieces[i]
                     vertices[row + k, c] = a + t * (m0 + t * (3.0 * b - 2.0 * m0 - m1 + t * (m0 + m1 - 2.0 * b)))
-            for k in range(pieces):
-                owners[row + k] = s
-            row += pieces
-        if fill:
-            for c in range(3):
-                vertices[row, c] = points[last - 1, c]
-            owners[row] = s
-        else:
-            rows[s] = row + 1
+            row += pieces[i]
+        for c in range(3):
+            vertices[row, c] = points[last - 1, c]

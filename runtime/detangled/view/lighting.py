@@ -17,6 +17,7 @@ if TYPE_CHECKING:
     from detangled.view.surface import Surface
 
 GRID_CELLS = 96**3  # shared out so that cells are cubes
+DENSITY_PARTS = 8
 PADDING = 2  # empty cells around the hair
 # Marched from the strand itself, a ray would start in the strand's own density and shadow it.
 MARCH_START = 0.01  # of the scene's extent: 0.3 cm on a head
@@ -76,8 +77,7 @@ def light_grid(
     cell = max(cell, float(span.max()) / 256.0)  # a flat swatch needs no thousand cells along its long side
     shape = np.ceil(span / cell).astype(np.int64) + 1 + 2 * PADDING
     origin = low - PADDING * cell
-    density = np.zeros((int(shape[0]), int(shape[1]), int(shape[2])), dtype=np.float32)
-    _deposit(curves.points, curves.offsets, origin, cell, density)
+    density = _density(curves, origin, cell, (int(shape[0]), int(shape[1]), int(shape[2])))
     blocking = BLOCKING * width / cell**3
     sky, weights = _dome()
     asked, longest = maximum_filter(density > 0.0, size=3), LONGEST_STEP
@@ -89,12 +89,31 @@ def light_grid(
         asked |= maximum_filter(shell > 0.0, size=9)
         density += _solid(shell, depth)
         longest = LONGEST_STEP_WITH_HEAD
-    rays = np.concatenate([[KEY, RIM], sky])
     values = np.empty((*density.shape, 3), dtype=np.float32)
-    start, reach = MARCH_START * extent / cell, AMBIENT_REACH * extent / cell
-    given = (density, cell * blocking, rays, weights, start, reach, longest, asked, values)
+    start, diagonal = MARCH_START * extent / cell, float(np.linalg.norm(density.shape))
+    marches = [_steps(ray, start, diagonal, longest) for ray in (KEY, RIM)]
+    marches += [_steps(ray, start, min(AMBIENT_REACH * extent / cell, diagonal), longest) for ray in sky]
+    cells, shares = (np.concatenate(parts) for parts in zip(*marches, strict=True))
+    ends = np.cumsum([len(march[0]) for march in marches])
+    given = (density, cell * blocking, cells, shares, ends, weights, asked, values)
     spread(lambda begin, end: _march(begin, end, *given), len(values))
     return LightGrid(values, origin, cell)
+
+
+def _density(
+    curves: Curves, origin: NDArray[np.float64], cell: float, shape: tuple[int, int, int]
+) -> NDArray[np.float32]:
+    """Length of hair [cm] in each cell, summed by parts that are always the same, so that threads change no sum."""
+    strands = len(curves.ids)
+    parts = np.zeros((min(DENSITY_PARTS, strands), *shape), dtype=np.float32)
+    edges = [strands * k // len(parts) for k in range(len(parts) + 1)]
+
+    def deposit(begin: int, end: int) -> None:
+        for k in range(begin, end):
+            _deposit(curves.points, curves.offsets[edges[k] : edges[k + 1] + 1], origin, cell, parts[k])
+
+    spread(deposit, len(parts))
+    return np.asarray(parts.sum(axis=0))
 
 
 def _solid(shell: NDArray[np.float32], inside: float) -> NDArray[np.float32]:
@@ -112,7 +131,7 @@ def _solid(shell: NDArray[np.float32], inside: float) -> NDArray[np.float32]:
 
 @kernel
 def _deposit(points, offsets, origin, cell, density):  # type: ignore[no-untyped-def]
-    """Add each segment's length [cm] to the eight cells around it; serial, so that the sums never differ."""
+    """Add each segment's length [cm] to the eight cells around it."""
     nx, ny, nz = density.shape
     for s in range(len(offsets) - 1):
         for i in range(offsets[s], offsets[s + 1] - 1):
@@ -187,55 +206,74 @@ def light_at(values, x, y, z, out):  # type: ignore[no-untyped-def]
                 out[c] += wy * ((1.0 - fz) * near + fz * far)
 
 
-@kernel
-def _optical_depth(density, x, y, z, dx, dy, dz, start, reach, longest):  # type: ignore[no-untyped-def]
-    """Density summed along a ray, in cells, from ``start`` to ``reach`` cells away or the grid's end."""
-    nx, ny, nz = density.shape
-    total = 0.0
-    step = 1.0
-    t = start + 0.5
+def _steps(
+    ray: NDArray[np.float64], start: float, reach: float, longest: float
+) -> tuple[NDArray[np.int64], NDArray[np.float32]]:
+    """Where a march along a ray reads the density, and how much each place counts: alike from every cell.
+
+    start, reach, longest: [cells] where it begins and ends, and its longest step. Returns cells (n, 3), counted from
+    the one that the ray leaves, and weights (n, 2, 2, 2) of each and its neighbours: its trilinear share of a step.
+    """
+    places, lengths = [], []
+    step, t = 1.0, start + 0.5
     while t < reach:
-        px, py, pz = x + t * dx, y + t * dy, z + t * dz
-        if not (0.0 <= px < nx - 1 and 0.0 <= py < ny - 1 and 0.0 <= pz < nz - 1):
-            break
-        ix, iy, iz = int(px), int(py), int(pz)
-        fx, fy, fz = px - ix, py - iy, pz - iz
-        here = 0.0
-        for a in range(2):
-            wx = fx if a else 1.0 - fx
-            for b in range(2):
-                wy = wx * (fy if b else 1.0 - fy)
-                here += wy * ((1.0 - fz) * density[ix + a, iy + b, iz] + fz * density[ix + a, iy + b, iz + 1])
-        total += step * here
+        places.append(t)
+        lengths.append(step)
         grown = min(step * MARCH_GROWTH, longest)
         t += 0.5 * (step + grown)
         step = grown
-    return total
+    at = np.array(places)[:, None] * ray
+    cells = np.floor(at)
+    x, y, z = (np.stack([1.0 - share, share], axis=1) for share in (at - cells).T)
+    weights = np.einsum("n,na,nb,nc->nabc", np.array(lengths), x, y, z)
+    return cells.astype(np.int64), weights.astype(np.float32)
 
 
 @kernel
-def _march(begin, end, density, blocking, rays, weights, start, reach, longest, asked, values):  # type: ignore[no-untyped-def]
+def _march(begin, end, density, blocking, cells, weights, ends, sky, asked, values):  # type: ignore[no-untyped-def]
     """Fill ``values`` (nx, ny, nz, 3) where ``asked``, and with full light elsewhere.
 
-    rays: (2 + n, 3), towards the key, the rim and places in the sky.
+    cells, weights: the steps of all rays (``_steps``), whose ends among them are ``ends``: towards the key, the rim and
+    places in the sky, which give the parts ``sky`` of its light.
     """
-    _, ny, nz = density.shape
+    nx, ny, nz = density.shape
+    depth = np.empty(nz, dtype=np.float32)
+    open_sky = np.empty(nz, dtype=np.float32)
     for i in range(begin, end):
         for j in range(ny):
+            values[i, j, :, :2] = 0.0
+            values[i, j, :, 2] = 1.0
+            first, last = nz, 0
             for k in range(nz):
-                values[i, j, k, 0] = 0.0
-                values[i, j, k, 1] = 0.0
-                values[i, j, k, 2] = 1.0
-                if not asked[i, j, k]:
-                    continue
-                open_sky = 0.0
-                for r in range(len(rays)):
-                    limit = 1e9 if r < 2 else reach
-                    tau = blocking * _optical_depth(
-                        density, i, j, k, rays[r, 0], rays[r, 1], rays[r, 2], start, limit, longest
-                    )
+                if asked[i, j, k]:
+                    first, last = min(first, k), k + 1
+            open_sky[:] = 0.0
+            for r in range(len(ends) if first < last else 0):
+                depth[:] = 0.0
+                for n in range(ends[r - 1] if r > 0 else 0, ends[r]):
+                    x, y, z = i + cells[n, 0], j + cells[n, 1], cells[n, 2]
+                    if not (0 <= x < nx - 1 and 0 <= y < ny - 1):
+                        break
+                    low, high = max(first, -z), min(last, nz - 1 - z)
+                    if low >= high:
+                        break
+                    w = weights[n]
+                    # Whole rows at once, which compiles to vector instructions.
+                    a, b = density[x, y, low + z : high + z + 1], density[x, y + 1, low + z : high + z + 1]
+                    c, d = density[x + 1, y, low + z : high + z + 1], density[x + 1, y + 1, low + z : high + z + 1]
+                    row = depth[low:high]
+                    for k in range(len(row)):
+                        row[k] += (w[0, 0, 0] * a[k] + w[0, 0, 1] * a[k + 1]) + (
+                            w[0, 1, 0] * b[k] + w[0, 1, 1] * b[k + 1]
+                        )
+                        row[k] += (w[1, 0, 0] * c[k] + w[1, 0, 1] * c[k + 1]) + (
+                            w[1, 1, 0] * d[k] + w[1, 1, 1] * d[k + 1]
+                        )
+                for k in range(first, last):
+                    if not asked[i, j, k]:
+                        continue
                     if r < 2:
-                        values[i, j, k, r] = tau
+                        values[i, j, k, r] = blocking * depth[k]
                     else:
-                        open_sky += weights[r - 2] * np.exp(-tau)
-                values[i, j, k, 2] = open_sky
+                        open_sky[k] += sky[r - 2] * np.exp(-blocking * depth[k])
+                        values[i, j, k, 2] = open_sky[k]

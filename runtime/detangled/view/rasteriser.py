@@ -9,7 +9,6 @@ from __future__ import annotations
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.groom import offsets_of
 from detangled.kernels import kernel
 from detangled.view.camera import Camera
 from detangled.view.curves import Curves, lens, trace
@@ -20,10 +19,11 @@ from detangled.view.threads import spread
 
 SAMPLES = 3  # along each side of a pixel
 BAND_ROWS = 16  # pixels; low enough that a band's buffers stay in the cache
-BIN_CHUNKS = 64  # parts that strands are sorted into bands by
+BIN_CHUNKS = 32  # parts that segments are sorted by
+SLABS = 64  # of depth: the nearest segments are met first, and those they hide are passed over
 NARROWEST_PX = 0.7  # thinner strands break into dots
-TILE = 16  # samples; a tile knows its farthest sample, so that segments behind all of it are passed over
-TILE_REFRESH = 4096  # segments drawn between updates of what tiles know; late only costs time
+TILE = 8  # samples; a tile knows its farthest sample, so that segments behind all of it are passed over
+TILE_REFRESH = 2048  # segments drawn between updates of what tiles know; late only costs time
 
 
 def background(camera: Camera, look: Look) -> NDArray[np.float32]:
@@ -52,7 +52,8 @@ def draw(
     vertices, strands = trace(curves, view, SAMPLES)
     half = np.array([0.5 * width, 0.5 * NARROWEST_PX * SAMPLES])
     bands = -(-camera.height // BAND_ROWS)
-    segments, ends = _binned(curves, vertices, strands, view, half, bands)
+    spread(lambda begin, end: _to_screen(begin, end, view, vertices), len(vertices))
+    segments, ends = _binned(vertices, strands, view, half, bands)
 
     linear = background(camera, look)
     tint = tints(curves.ids, look, colours)
@@ -89,7 +90,6 @@ def encoded(linear: NDArray[np.floating]) -> NDArray[np.uint8]:
 
 
 def _binned(
-    curves: Curves,
     vertices: NDArray[np.float32],
     strands: NDArray[np.int32],
     view: NDArray[np.float64],
@@ -98,58 +98,74 @@ def _binned(
 ) -> tuple[NDArray[np.int32], NDArray[np.int64]]:
     """Segments that touch each band, band after band, and where each band's begin and the last one's end.
 
-    Those of near strands come first, so that most of what they hide is passed over when it is met.
+    In a band those of near slabs come first, and in a slab those of earlier strands.
     """
-    order = np.argsort(-np.maximum.reduceat(curves.points[:, 2], curves.offsets[:-1]), kind="stable")
-    starts = np.searchsorted(strands, np.arange(len(order) + 1)).astype(np.int64)
-    chunks = min(len(order), BIN_CHUNKS)
-    edges = [len(order) * k // chunks for k in range(chunks + 1)]
-    counts = np.zeros((chunks, bands), dtype=np.int64)
-    given = (order, starts, vertices, view, half)
+    chunks = min(len(vertices) - 1, BIN_CHUNKS)
+    edges = [(len(vertices) - 1) * k // chunks for k in range(chunks + 1)]
+    counts = np.zeros((chunks, bands, SLABS), dtype=np.int64)
+    near, far = float(vertices[:, 2].max()), float(vertices[:, 2].min())
+    per_cm = SLABS / max(near - far, 1e-6)
+    given = (vertices, strands, view, half, near, per_cm)
 
     def count(begin: int, end: int) -> None:
         for k in range(begin, end):
             _bin(edges[k], edges[k + 1], *given, False, counts[k], np.empty(0, dtype=np.int32))
 
     spread(count, chunks)
-    places = np.cumsum(counts.T).reshape(bands, chunks).T - counts
-    segments = np.empty(counts.sum(), dtype=np.int32)
+    ends = np.cumsum(counts.transpose(1, 2, 0)).reshape(bands, SLABS, chunks).transpose(2, 0, 1)
+    places = np.ascontiguousarray(ends - counts)
+    segments = np.empty(int(ends[-1, -1, -1]), dtype=np.int32)
 
     def fill(begin: int, end: int) -> None:
         for k in range(begin, end):
-            _bin(edges[k], edges[k + 1], *given, True, places[k].copy(), segments)
+            _bin(edges[k], edges[k + 1], *given, True, places[k], segments)
 
     spread(fill, chunks)
-    return segments, offsets_of(counts.sum(axis=0))
+    return segments, np.concatenate([[0], ends[-1, :, -1]])
 
 
 @kernel
-def _project(vertices, i, view):  # type: ignore[no-untyped-def]
-    """Place on the screen [samples] of a vertex, and samples per cm there."""
-    scale = view[0] / max(1.0 - view[1] * (vertices[i, 2] - view[4]), 1e-3)
-    return view[5] + scale * (vertices[i, 0] - view[2]), view[6] - scale * (vertices[i, 1] - view[3]), scale
+def _depth(z, view):  # type: ignore[no-untyped-def]
+    """Distance from the eye, in that of the camera's centre."""
+    return max(1.0 - view[1] * (z - view[4]), 1e-3)
 
 
 @kernel
-def _bin(begin, end, order, starts, vertices, view, half, fill, rows, segments):  # type: ignore[no-untyped-def]
-    """Count in ``rows`` the segments of some strands that touch each band, or with ``fill`` list them from there on."""
-    bands = len(rows)
+def _to_screen(begin, end, view, vertices):  # type: ignore[no-untyped-def]
+    """Turn x and y of vertices from camera axes [cm] to the screen [samples]; z stays."""
+    for i in range(begin, end):
+        scale = view[0] / _depth(vertices[i, 2], view)
+        vertices[i, 0] = view[5] + scale * (vertices[i, 0] - view[2])
+        vertices[i, 1] = view[6] - scale * (vertices[i, 1] - view[3])
+
+
+@kernel
+def _from_screen(vertices, i, view, out):  # type: ignore[no-untyped-def]
+    """The place of a vertex in camera axes [cm] into ``out``."""
+    cm = _depth(vertices[i, 2], view) / view[0]
+    out[0] = view[2] + cm * (vertices[i, 0] - view[5])
+    out[1] = view[3] - cm * (vertices[i, 1] - view[6])
+    out[2] = vertices[i, 2]
+
+
+@kernel
+def _bin(begin, end, vertices, strands, view, half, near, per_cm, fill, rows, segments):  # type: ignore[no-untyped-def]
+    """Count in ``rows`` (bands, slabs) the segments that touch each, or with ``fill`` list them from there on."""
+    bands, slabs = rows.shape
     height = SAMPLES * BAND_ROWS
-    for place in range(begin, end):
-        s = order[place]
-        ay, a_margin = 0.0, 0.0
-        for i in range(starts[s], starts[s + 1]):
-            _, by, scale = _project(vertices, i, view)
-            b_margin = max(half[0] * scale, half[1])
-            if i > starts[s]:
-                margin = max(a_margin, b_margin)
-                low, high = (min(ay, by) - margin) / height, (max(ay, by) + margin) / height
-                if high >= 0.0 and low < bands:
-                    for band in range(max(0, int(low)), min(bands - 1, int(high)) + 1):
-                        if fill:
-                            segments[rows[band]] = i - 1
-                        rows[band] += 1
-            ay, a_margin = by, b_margin
+    for i in range(begin, end):
+        if strands[i] != strands[i + 1]:
+            continue
+        ay, by = float(vertices[i, 1]), float(vertices[i + 1, 1])
+        front = max(vertices[i, 2], vertices[i + 1, 2])
+        margin = max(half[0] * view[0] / _depth(front, view), half[1])
+        low, high = (min(ay, by) - margin) / height, (max(ay, by) + margin) / height
+        if high >= 0.0 and low < bands:
+            slab = min(int((near - front) * per_cm), slabs - 1)
+            for band in range(max(0, int(low)), min(bands - 1, int(high)) + 1):
+                if fill:
+                    segments[rows[band, slab]] = i
+                rows[band, slab] += 1
 
 
 @kernel
@@ -161,40 +177,29 @@ def _cover(vertices, segments, top, view, half, nearest, farthest, seen, place):
     """
     rows, columns = seen.shape
     tile_rows, tile_columns = farthest.shape
-    for number in range(len(segments)):
-        if number % TILE_REFRESH == TILE_REFRESH - 1:
-            for r in range(tile_rows):
-                for c in range(tile_columns):
-                    least = np.float32(np.inf)
-                    for y in range(r * TILE, min(rows, (r + 1) * TILE)):
-                        for x in range(c * TILE, min(columns, (c + 1) * TILE)):
-                            least = min(least, nearest[y, x])
-                    farthest[r, c] = least
-        i = segments[number]
-        ax, ay, scale = _project(vertices, i, view)
-        bx, by, _ = _project(vertices, i + 1, view)
-        ay -= top
-        dx, dy = bx - ax, by - top - ay
-        az = float(vertices[i, 2])
-        dz = float(vertices[i + 1, 2]) - az
-        radius = max(half[0] * scale, half[1])
-        bulge = radius / scale
-        inverse = 1.0 / max(dx * dx + dy * dy, 1e-6)
-        sine = np.sqrt(inverse) / radius
-        per_row = 1.0 / dy if abs(dy) > 1e-3 else 0.0
-        thin = 1.0 / (radius * radius)
-        first = max(0, int(np.ceil(min(ay, ay + dy) - radius - 0.5)))
-        last = min(rows - 1, int(np.floor(max(ay, ay + dy) + radius - 0.5)))
+    drawn = 0
+    for i in segments:
+        ax, ay, az = float(vertices[i, 0]), float(vertices[i, 1]) - top, float(vertices[i, 2])
+        dx, dy = vertices[i + 1, 0] - ax, vertices[i + 1, 1] - top - ay
+        dz = vertices[i + 1, 2] - az
+        depth = _depth(az, view)
+        radius = max(half[0] * view[0] / depth, half[1])
+        bulge = radius * depth / view[0]
         front = max(az, az + dz) + bulge
-        leftmost = max(0, int(min(ax, bx) - radius) // TILE)
-        rightmost = min(tile_columns - 1, int(max(ax, bx) + radius) // TILE)
+        left, right = min(ax, ax + dx) - radius, max(ax, ax + dx) + radius
+        low, high = min(ay, ay + dy) - radius, max(ay, ay + dy) + radius
         hidden = True
-        for r in range(first // TILE, last // TILE + 1):
-            for c in range(leftmost, rightmost + 1):
+        for r in range(max(0, int(low / TILE)), min(tile_rows, int(high / TILE) + 1)):
+            for c in range(max(0, int(left / TILE)), min(tile_columns, int(right / TILE) + 1)):
                 hidden = hidden and front <= farthest[r, c]
         if hidden:
             continue
-        for r in range(first, last + 1):
+        square = max(dx * dx + dy * dy, 1e-6)
+        length = np.sqrt(square)
+        thin = 1.0 / (radius * length)
+        stretch = length / radius
+        per_row = 1.0 / dy if abs(dy) > 1e-3 else 0.0
+        for r in range(max(0, int(np.ceil(low - 0.5))), min(rows - 1, int(np.floor(high - 0.5))) + 1):
             y = r + 0.5 - ay
             # Only a part of the segment is within reach of this row: no need to try its whole box.
             t0, t1 = 0.0, 1.0
@@ -205,10 +210,12 @@ def _cover(vertices, segments, top, view, half, nearest, farthest, seen, place):
             right = ax + max(t0 * dx, t1 * dx) + radius
             for c in range(max(0, int(np.ceil(left - 0.5))), min(columns - 1, int(np.floor(right - 0.5))) + 1):
                 x = c + 0.5 - ax
-                t = min(max((x * dx + y * dy) * inverse, 0.0), 1.0)
-                ex, ey = x - t * dx, y - t * dy
-                off = (ex * ex + ey * ey) * thin
+                along = (x * dx + y * dy) / square
+                t = min(max(along, 0.0), 1.0)
                 z = az + t * dz
+                # Off the segment's line, and beyond its ends, in radii.
+                across, beyond = (y * dx - x * dy) * thin, (along - t) * stretch
+                off = across * across + beyond * beyond
                 if off >= 1.0 or z + bulge <= nearest[r, c]:
                     continue
                 z += bulge * np.sqrt(1.0 - off)
@@ -216,17 +223,33 @@ def _cover(vertices, segments, top, view, half, nearest, farthest, seen, place):
                     nearest[r, c] = z
                     seen[r, c] = i
                     place[r, c, 0] = int(254.0 * t - 126.5)
-                    place[r, c, 1] = int(127.0 * min(max((y * dx - x * dy) * sine, -1.0), 1.0))
+                    place[r, c, 1] = int(127.0 * across)
+        drawn += 1
+        if drawn % TILE_REFRESH == 0:
+            _refresh(nearest, farthest)
 
 
 @kernel
-def _tangent(vertices, strands, i, out):  # type: ignore[no-untyped-def]
-    """Direction of the strand at vertex i, root to tip."""
-    a = i - 1 if i > 0 and strands[i - 1] == strands[i] else i
-    b = i + 1 if i + 1 < len(strands) and strands[i + 1] == strands[i] else i
+def _refresh(nearest, farthest):  # type: ignore[no-untyped-def]
+    """Find the least of ``nearest`` (rows, columns) in each tile."""
+    rows, columns = nearest.shape
+    for r in range(len(farthest)):
+        for c in range(farthest.shape[1]):
+            least = np.float32(np.inf)
+            for y in range(r * TILE, min(rows, (r + 1) * TILE)):
+                for x in range(c * TILE, min(columns, (c + 1) * TILE)):
+                    least = min(least, nearest[y, x])
+            farthest[r, c] = least
+
+
+@kernel
+def _tangent(vertices, strands, i, view, start, out):  # type: ignore[no-untyped-def]
+    """Direction of the strand at vertex i, root to tip, into ``out``; ``start``: room for a place."""
+    _from_screen(vertices, i - 1 if i > 0 and strands[i - 1] == strands[i] else i, view, start)
+    _from_screen(vertices, i + 1 if i + 1 < len(strands) and strands[i + 1] == strands[i] else i, view, out)
     square = 0.0
     for c in range(3):
-        out[c] = vertices[b, c] - vertices[a, c]
+        out[c] -= start[c]
         square += out[c] * out[c]
     for c in range(3):
         out[c] /= max(np.sqrt(square), 1e-12)
@@ -234,7 +257,7 @@ def _tangent(vertices, strands, i, out):  # type: ignore[no-untyped-def]
 
 @kernel
 def _colour(  # type: ignore[no-untyped-def]
-    vertices,  # (V, 3)
+    vertices,  # (V, 3), on the screen
     strands,  # (V,)
     seen,  # (rows * SAMPLES, columns * SAMPLES)
     place,  # (rows * SAMPLES, columns * SAMPLES, 2)
@@ -250,7 +273,7 @@ def _colour(  # type: ignore[no-untyped-def]
     """Shade what is seen. Samples of a pixel that see one segment are shaded once, at their mean place."""
     rows, columns, _ = picture.shape
     reach, colour, total = np.empty(3), np.empty(3), np.empty(3)
-    tangent, other = np.empty(3), np.empty(3)
+    tangent, other, start, stop = np.empty(3), np.empty(3), np.empty(3), np.empty(3)
     pixel = np.empty(SAMPLES * SAMPLES, dtype=np.int32)
     for r in range(rows):
         for c in range(columns):
@@ -271,13 +294,15 @@ def _colour(  # type: ignore[no-untyped-def]
                         alike += 1
                         pixel[k] = -1
                 t, u = 0.5 + along / (254.0 * alike), across / (127.0 * alike)
-                _tangent(vertices, strands, i, tangent)
-                _tangent(vertices, strands, i + 1, other)
+                _tangent(vertices, strands, i, view, start, tangent)
+                _tangent(vertices, strands, i + 1, view, start, other)
+                _from_screen(vertices, i, view, start)
+                _from_screen(vertices, i + 1, view, stop)
                 square = 0.0
                 for k in range(3):
                     tangent[k] += t * (other[k] - tangent[k])
                     square += tangent[k] * tangent[k]
-                    other[k] = vertices[i, k] + t * (vertices[i + 1, k] - vertices[i, k])
+                    other[k] = start[k] + t * (stop[k] - start[k])
                 norm = 1.0 / max(np.sqrt(square), 1e-9)
                 tx, ty, tz = tangent[0] * norm, tangent[1] * norm, tangent[2] * norm
                 px, py, pz = other[0], other[1], other[2]
