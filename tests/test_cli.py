@@ -138,6 +138,12 @@ print("VERBS", [name for name in sys.modules if name in {[v.module for v in shel
     assert "VERBS []" in output
 
 
+def test_no_module_is_called_as_something_that_the_package_offers() -> None:
+    """Once loaded it would stand in its place."""
+    modules = {module.name for module in pkgutil.iter_modules(detangled.__path__)}
+    assert modules.isdisjoint(detangled.__all__)
+
+
 def test_help_lists_every_verb() -> None:
     result = invoke("--help")
     assert result.exit_code == 0
