@@ -5,12 +5,13 @@ from __future__ import annotations
 import subprocess
 import sys
 from pathlib import Path
+from typing import Any
 
 import numba
 import numpy as np
 import pytest
 from click.testing import CliRunner
-from PIL import Image
+from PIL import Image, ImageDraw
 
 from detangled.errors import DetangledError, ReadError, WriteError
 from detangled.groom import Groom
@@ -18,6 +19,7 @@ from detangled.kernels import set_threads
 from detangled.view import picture as picture_module
 from detangled.view.camera import VIEWS, frame, view_rotation
 from detangled.view.curves import drawable, lens, trace
+from detangled.view.lettering import caption
 from detangled.view.lighting import BLOCKING, KEY, light_grid
 from detangled.view.picture import Picture, render, save
 from detangled.view.rasteriser import BAND_ROWS, NARROWEST_PX, SAMPLES, TILE_REFRESH, background, draw
@@ -244,6 +246,22 @@ def test_two_panels_of_one_groom_are_identical() -> None:
     assert picture.pixels.shape == (100, 2 * 120 + picture_module.SEPARATOR_PX, 3)
     np.testing.assert_array_equal(picture.pixels[:, :120], picture.pixels[:, -120:])
     assert covered(picture.pixels[:, :120])[-20:].any(), "the caption"
+
+
+def test_a_caption_of_a_book_is_shortened_at_once(monkeypatch: pytest.MonkeyPatch) -> None:
+    measured = []
+    length = ImageDraw.ImageDraw.textlength
+
+    def counted(pen: ImageDraw.ImageDraw, text: str, **more: Any) -> float:
+        measured.append(len(text))
+        return length(pen, text, **more)
+
+    monkeypatch.setattr(ImageDraw.ImageDraw, "textlength", counted)
+    image = Image.new("RGB", (200, 100))
+    caption(image, "a b " * 100_000, 0, image.size)
+    assert max(measured) <= image.width
+    columns = np.flatnonzero(np.asarray(image).any(axis=(0, 2)))
+    assert 0 < columns[0] < columns[-1] < image.width - 1
 
 
 def test_panels_are_framed_alike() -> None:

@@ -130,6 +130,10 @@ def wanted(
             raise click.UsageError(f"--target tells the texture already: leave {' and '.join(given)} out, or --target")
         if method in ASKING or finite_differences:
             raise click.UsageError(f"--method {', '.join(ASKING)} and --finite-differences go with a type or numbers")
+        from detangled.fitted import SUFFIX
+
+        if texture_source.suffix == SUFFIX and target_unit is not None:
+            raise click.UsageError(f"--target-unit goes with strands, not with a {SUFFIX}")
         return Wanted(texture_source, method, target_unit=target_unit)
     if not given:
         raise click.UsageError(f"which texture? Give --target, or one or more of {', '.join(numbers)}")

@@ -15,6 +15,7 @@ CM_PER_UNIT = {"mm": 0.1, "cm": 1.0, "dm": 10.0, "m": 100.0, "in": 2.54}
 TYPICAL_DIAGONAL_CM = 35.0
 # Some programs' unit is none of these: TressFX's samples are about 2.5 mm a unit.
 _SIZE = re.compile(r"([0-9]+(?:\.[0-9]*)?|\.[0-9]+)? ?([a-z]+)")
+SIZES = (1e-6, 1e6)  # [cm] of units: beyond them hair in a file of float32 may be infinite, or a point
 GUESSED_UNITS = ("m", "cm", "mm")
 POINTS_TO_GUESS_FROM = 20_000
 STRAY_QUANTILES = (0.01, 0.99)
@@ -40,13 +41,13 @@ def guess_unit(points: NDArray[np.floating]) -> str:
 def cm_per_unit(name: str) -> float:
     """Centimetres in one unit called ``name``, or in so many of one (``"2.5mm"``).
 
-    Raises ReadError for a unit that is not known.
+    Raises ReadError for a unit that is not known, or beyond SIZES.
     """
     size = _SIZE.fullmatch(name)
-    factor = float(size[1] or 1) if size else 0.0
-    if size is None or size[2] not in CM_PER_UNIT or not 0.0 < factor < np.inf:
+    cm = float(size[1] or 1) * CM_PER_UNIT.get(size[2], 0.0) if size else 0.0
+    if not SIZES[0] <= cm <= SIZES[1]:
         raise ReadError(f"unknown unit {name!r}: use one of {', '.join(CM_PER_UNIT)}, or so many of one, as 2.5mm")
-    return factor * CM_PER_UNIT[size[2]]
+    return cm
 
 
 def unit_name(cm: float) -> str:

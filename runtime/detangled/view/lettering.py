@@ -38,7 +38,8 @@ def caption(image: Image.Image, text: str, left: int, size: tuple[int, int]) -> 
     letters = font_size(size)
     pen, font = ImageDraw.Draw(image), ImageFont.load_default(size=letters)
     room = size[0] - 2 * letters
-    shown = text
+    # A letter takes a pixel at least: what is longer need not be measured.
+    shown = text if len(text) <= room else text[:room] + "…"
     while len(shown) > 1 and pen.textlength(shown, font=font) > room:
         shown = shown[:-2].rstrip() + "…"
     pen.text((left + size[0] / 2, size[1] - 1.1 * letters), shown, fill=CAPTION, font=font, anchor="mm")
