@@ -405,6 +405,19 @@ def test_bad_words_are_refused_in_a_line(
     assert Path("tuft.html").read_text() == "something"
 
 
+def test_a_head_of_another_unit_is_said_by_command(tuft_file: Path, tmp_path: Path) -> None:
+    target, head = tmp_path / "page.html", tmp_path / "head.obj"
+    head.write_text("v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    given = (tuft_file, target, "--unit", "cm", "--no-labels", "--head", head, "--head-unit")
+    assert run(*given, "cm").exit_code == 0
+    target.unlink()
+    done = run(*given, "mm")
+    assert done.exit_code == ReadError.exit_code
+    assert "head.obj: the groom does not grow on this head" in done.stderr
+    assert "--head-unit and --unit say their units" in done.stderr
+    assert not target.exists()
+
+
 def test_the_command_takes_a_head_along(grooms: Callable[[str], Path], tmp_path: Path) -> None:
     target = tmp_path / "page.html"
     head = grooms("heads/vitruvian_head.obj")
