@@ -280,6 +280,7 @@ def test_too_few_points_a_turn_are_said() -> None:
         {"variation": np.nan},
         {"clump_profile": Profile((0.0, 2.0))},
         {"points": 1},
+        {"points": 241},  # of 100,000 hairs: beyond 24 million
         {"wisp_radius": 0.0},
         {"width": -1.0},
         {"sub_clumps": -1},
@@ -318,6 +319,7 @@ def test_the_command_makes_hairs(tmp_path: Path) -> None:
         (["--clump-profile", "0:3"], 2, "from 0 to 1"),
         (["--wisp-radius", "wide"], 3, "--wisp-radius"),
         (["--flyaways", "2"], 2, "flyaways"),
+        (["--count", "1000000", "--points", "25"], 3, "give fewer points, 24 here, or fewer hairs"),
     ],
 )
 def test_the_command_refuses_in_one_line(tmp_path: Path, options: list[str], code: int, word: str) -> None:

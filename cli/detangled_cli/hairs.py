@@ -65,7 +65,7 @@ SHARE = click.FloatRange(0.0, 1.0)
     "--points",
     type=click.IntRange(min=2),
     metavar="N",
-    help="Points of a hair. Default: as its guide has, within 24 million in all.",
+    help="Points of a hair, within 24 million in all. Default: as its guide has.",
 )
 @click.option("--width", default="0.08mm", show_default=True, metavar="W", help="Of a hair.")
 @click.option("--with-guides", is_flag=True, help="Write the guide strands too, first, and flagged.")

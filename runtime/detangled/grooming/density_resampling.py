@@ -11,7 +11,6 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.errors import DetangledError
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Attribute, Groom, Scope, offsets_of
 from detangled.grooming.blue_noise import CANDIDATES, spread_out
@@ -21,8 +20,6 @@ from detangled.grooming.interpolation import diverging, interpolated, joined, mi
 from detangled.grooming.scalp import HEXAGONAL, Scalp, scalp_of
 from detangled.grooming.scalp_mesh import SAME_UV, check_near, places_on
 from detangled.head import Head
-
-MOST_STRANDS = 4_000_000  # what an engine takes of one groom, and more than fits in most memories
 
 
 @dataclass(frozen=True)
@@ -68,12 +65,8 @@ def resampled(
     gives the same guides. Raises DetangledError for a factor that is none, a head without faces or away from the
     roots, and more than four million strands.
     """
-    factor = checked_factor(factor)
     usable = len(guides.kept)
-    if factor * usable > MOST_STRANDS:
-        raise DetangledError(
-            f"{factor:g} times the density would be {factor * usable:.3g} strands: at most {MOST_STRANDS:,} are made"
-        )
+    factor = checked_factor(factor, usable)
     roots = guides.groom.points[guides.groom.offsets[:-1]]
     scalp = scalp or scalp_of(roots)
     notes = check_near(roots, places_on(roots, head)) if head is not None and usable else []

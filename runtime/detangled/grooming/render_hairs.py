@@ -17,8 +17,8 @@ from detangled.errors import DetangledError, ReadError
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.winding import winding
 from detangled.groom import Attribute, Groom, Scope, offsets_of
-from detangled.grooming.density import STRAIGHT_RADIUS
-from detangled.grooming.density_resampling import MOST_STRANDS, new_roots
+from detangled.grooming.density import MOST_STRANDS, STRAIGHT_RADIUS
+from detangled.grooming.density_resampling import new_roots
 from detangled.grooming.guides import StyleGuides, style_guides
 from detangled.grooming.hair_laying import RANDOMS, axes_between, laid
 from detangled.grooming.interpolation import diverging, joined, mixed_attributes
@@ -30,7 +30,7 @@ from detangled.head import Head
 from detangled.texture import Profile
 
 AXIS_POINTS = 64  # of a hair's smooth axis: the style bends slowly
-MOST_POINTS = 24_000_000  # of all hairs, where no number is asked for: about a gigabyte with all that is made of them
+MOST_POINTS = 24_000_000  # of all hairs: about a gigabyte with all that is made of them
 FEWEST_PER_TURN = 8.0  # points: fewer show corners
 WIDTH_CM = 0.008  # of a hair
 # A wisp is so wide beside the place that its guide has, or beside its coil: a wider one would fill the coil's middle.
@@ -73,6 +73,11 @@ class HairOptions:
             raise DetangledError(f"{self.count} hairs cannot be made: ask for 1 to {MOST_STRANDS:,}")
         if self.points is not None and self.points < 2:
             raise DetangledError(f"a hair of {self.points} points is none: give 2 or more")
+        if self.points is not None and self.points * self.count > MOST_POINTS:
+            raise DetangledError(
+                f"{self.count} hairs of {self.points} points are {self.points * self.count:.3g} points, and at most "
+                f"{MOST_POINTS:,} are made: give fewer points, {MOST_POINTS // self.count} here, or fewer hairs"
+            )
         for name, size in (("wisp radius", self.wisp_radius), ("width", self.width)):
             if size is not None and not 0.0 < size < np.inf:
                 raise DetangledError(f"{name} {size:g} cm must be more than zero")
