@@ -15,6 +15,7 @@ from scipy.spatial.transform import Rotation
 
 from detangled.errors import DetangledError
 from detangled.formats import read
+from detangled.formats.meshes import read_head
 from detangled.groom import Attribute, Groom, Scope
 from detangled.grooming.blue_noise import spread_out
 from detangled.grooming.density import density_change, without_outliers
@@ -441,9 +442,10 @@ def test_eve_gets_as_many_guides_as_the_radii_ask_for(grooms: Callable[[str], Pa
     assert lengths[result.original < 0].max() <= 1.01 * groom.polyline_lengths().max()
 
 
-def test_the_parting_of_bob_is_kept(grooms: Callable[[str], Path]) -> None:
+@pytest.mark.parametrize("on_head", [False, True])
+def test_the_parting_of_bob_is_kept(grooms: Callable[[str], Path], on_head: bool) -> None:
     groom = read(grooms("bob.abc"), unit="m")
-    result = denser(groom, 6.0)
+    result = denser(groom, 6.0, read_head(grooms("heads/vitruvian_head.obj")) if on_head else None)
     old, new = roots_of(groom), roots_of(result.groom.select(result.original < 0))
     # Seen from above: triangles of roots on top of the head that point to both sides are the parting.
     first = np.stack([groom.strand(i)[3] - groom.strand(i)[0] for i in range(groom.strand_count)])
