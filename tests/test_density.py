@@ -21,6 +21,7 @@ from detangled.grooming.blue_noise import spread_out
 from detangled.grooming.density import density_change, without_outliers
 from detangled.grooming.density_resampling import Resampled, resampled
 from detangled.grooming.guides import style_guides
+from detangled.grooming.head_fit import fitted_to
 from detangled.grooming.interpolation import diverging, interpolated
 from detangled.grooming.scalp import HEXAGONAL, scalp_of
 from detangled.grooming.scalp_mesh import places_on
@@ -371,11 +372,13 @@ def test_new_roots_lie_on_the_head_and_take_its_texture_coordinates_over_its_til
 
 def test_a_head_elsewhere_or_without_faces_is_refused() -> None:
     groom = straight(50)
-    with pytest.raises(DetangledError, match=r"50 cm from the roots"):
+    with pytest.raises(DetangledError, match="roots are 50 cm from the head"):
         denser(groom, 2.0, plane_head(50.0))
     with pytest.raises(DetangledError, match="no faces"):
         denser(groom, 2.0, Head(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int64)))
-    assert "off the head" in denser(groom, 2.0, plane_head(1.2)).notes[0]
+    near = plane_head(1.2)
+    assert denser(groom, 2.0, near).notes == ()
+    assert "50 of 50 roots that were looked at lie off its surface, by up to 1.2 cm" in fitted_to(near, groom).notes[-1]
 
 
 def test_a_head_in_metres_is_called_so() -> None:

@@ -241,7 +241,7 @@ def test_hairs_grow_on_the_head() -> None:
     head = Head(square, np.array([[0, 1, 2], [0, 2, 3]]))
     hairs = hairs_of(render_hairs(straight(), HairOptions(count=60), head))
     np.testing.assert_allclose(hairs.points[hairs.offsets[:-1], 2], 0.05, atol=1e-9)
-    with pytest.raises(DetangledError, match="from the roots"):
+    with pytest.raises(DetangledError, match="does not grow on this head"):
         render_hairs(straight(), HairOptions(count=60), Head(square + 30.0, head.faces))
 
 

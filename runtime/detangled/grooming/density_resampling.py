@@ -16,9 +16,10 @@ from detangled.groom import Attribute, Groom, Scope, offsets_of
 from detangled.grooming.blue_noise import CANDIDATES, spread_out
 from detangled.grooming.density import checked_factor
 from detangled.grooming.guides import StyleGuides
+from detangled.grooming.head_fit import check_fit
 from detangled.grooming.interpolation import diverging, interpolated, joined, mixed_attributes
 from detangled.grooming.scalp import HEXAGONAL, Scalp, scalp_of
-from detangled.grooming.scalp_mesh import SAME_UV, check_near, places_on
+from detangled.grooming.scalp_mesh import SAME_UV, places_on
 from detangled.head import Head
 
 
@@ -69,7 +70,9 @@ def resampled(
     factor = checked_factor(factor, usable)
     roots = guides.groom.points[guides.groom.offsets[:-1]]
     scalp = scalp or scalp_of(roots)
-    notes = check_near(roots, places_on(roots, head)) if head is not None and usable else []
+    notes: list[str] = []
+    if head is not None:
+        check_fit(head, guides.groom)
     if factor < 1.0:
         return _thinned(groom, guides, factor, scalp, notes)
     parts = diverging(guides.as_groom(), scalp)

@@ -21,10 +21,11 @@ from detangled.grooming.density import MOST_STRANDS, STRAIGHT_RADIUS
 from detangled.grooming.density_resampling import new_roots
 from detangled.grooming.guides import StyleGuides, style_guides
 from detangled.grooming.hair_laying import RANDOMS, axes_between, laid
+from detangled.grooming.head_fit import check_fit
 from detangled.grooming.interpolation import diverging, joined, mixed_attributes
 from detangled.grooming.placing import resample
 from detangled.grooming.scalp import Scalp, scalp_of
-from detangled.grooming.scalp_mesh import check_near, places_on
+from detangled.grooming.scalp_mesh import places_on
 from detangled.grooming.wisps import Wisps, wisps_of
 from detangled.head import Head
 from detangled.texture import Profile
@@ -143,7 +144,7 @@ def render_hairs(
     if usable < groom.strand_count:
         notes.append(f"{groom.strand_count - usable} strands cannot be guides, and have no hairs")
     if head is not None:
-        notes += check_near(strand_roots, places_on(strand_roots, head))
+        check_fit(head, guides.groom)
     scalp = scalp_of(strand_roots)
     places = _places(guides, scalp, options)
     if head is not None:
