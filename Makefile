@@ -27,7 +27,7 @@ docs: $(TESTABLE)
 	NO_MKDOCS_2_WARNING=1 $(BIN)/mkdocs build --quiet --strict
 
 bench: $(TESTABLE)
-	@failed=; for name in formats head geometry patches fidelity retexture engines network labels controllability guided simulation pipeline density hairs page render; do \
+	@failed=; for name in formats head geometry patches fidelity retexture engines network labels controllability guided simulation pipeline density on_head hairs page render; do \
 		[ -f benchmarks/$$name.py ] || continue; \
 		case $$name in fidelity) strands=$(firstword $(wildcard $(GROOMS)/coily_swatch.obj) examples/coily_strands.obj) ;; *) strands= ;; esac; \
 		echo "== benchmarks/$$name.py $$strands"; \

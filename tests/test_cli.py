@@ -185,6 +185,11 @@ def test_unit_help_names_every_unit() -> None:
     assert set(console.UNIT_NAMES.replace(",", "").replace(" or", "").split()) == set(CM_PER_UNIT)
 
 
+def test_help_says_that_a_head_may_be_in_so_many_of_a_unit() -> None:
+    shown = CliRunner().invoke(shell.detangled, ["retexture", "--help"]).stdout
+    assert "--head-unit U Unit of MESH: mm, cm, dm, m or in, or so many of one, as 2.5mm." in " ".join(shown.split())
+
+
 # ---- errors
 
 

@@ -15,12 +15,14 @@ from scipy.spatial.transform import Rotation
 
 from detangled.errors import DetangledError
 from detangled.formats import read
+from detangled.formats.meshes import read_head
 from detangled.geometry.winding import mean_without_outliers
 from detangled.groom import Attribute, Groom, Scope
 from detangled.grooming.blue_noise import spread_out
 from detangled.grooming.density import density_change
 from detangled.grooming.density_resampling import Resampled, resampled
 from detangled.grooming.guides import style_guides
+from detangled.grooming.head_fit import fitted_to
 from detangled.grooming.interpolation import diverging, interpolated
 from detangled.grooming.scalp import HEXAGONAL, scalp_of
 from detangled.grooming.scalp_mesh import places_on
@@ -371,11 +373,13 @@ def test_new_roots_lie_on_the_head_and_take_its_texture_coordinates_over_its_til
 
 def test_a_head_elsewhere_or_without_faces_is_refused() -> None:
     groom = straight(50)
-    with pytest.raises(DetangledError, match=r"50 cm from the roots"):
+    with pytest.raises(DetangledError, match="roots are 50 cm from the head"):
         denser(groom, 2.0, plane_head(50.0))
     with pytest.raises(DetangledError, match="no faces"):
         denser(groom, 2.0, Head(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int64)))
-    assert "off the head" in denser(groom, 2.0, plane_head(1.2)).notes[0]
+    near = plane_head(1.2)
+    assert denser(groom, 2.0, near).notes == ()
+    assert "50 of 50 roots that were looked at lie off its surface, by up to 1.2 cm" in fitted_to(near, groom).notes[-1]
 
 
 def test_a_head_in_metres_is_called_so() -> None:
@@ -442,9 +446,10 @@ def test_eve_gets_as_many_guides_as_the_radii_ask_for(grooms: Callable[[str], Pa
     assert lengths[result.original < 0].max() <= 1.01 * groom.polyline_lengths().max()
 
 
-def test_the_parting_of_bob_is_kept(grooms: Callable[[str], Path]) -> None:
+@pytest.mark.parametrize("on_head", [False, True])
+def test_the_parting_of_bob_is_kept(grooms: Callable[[str], Path], on_head: bool) -> None:
     groom = read(grooms("bob.abc"), unit="m")
-    result = denser(groom, 6.0)
+    result = denser(groom, 6.0, read_head(grooms("heads/vitruvian_head.obj")) if on_head else None)
     old, new = roots_of(groom), roots_of(result.groom.select(result.original < 0))
     # Seen from above: triangles of roots on top of the head that point to both sides are the parting.
     first = np.stack([groom.strand(i)[3] - groom.strand(i)[0] for i in range(groom.strand_count)])

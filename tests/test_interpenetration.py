@@ -178,7 +178,7 @@ def test_a_head_of_another_unit_is_told() -> None:
     with pytest.raises(ReadError, match="does not grow on this head"):
         fitted_to(replace(head, vertices=head.vertices + np.array([40.0, 0, 0])), groom)
     lifted = fitted_to(replace(head, vertices=head.vertices * (7.5 / RADIUS)), groom)
-    assert "1.5 cm from its surface" in lifted.notes[-1]
+    assert "off its surface, by up to 1.5 cm" in lifted.notes[-1]
 
 
 def test_a_head_with_another_axis_up_is_turned() -> None:

@@ -241,7 +241,7 @@ def test_hairs_grow_on_the_head() -> None:
     head = Head(square, np.array([[0, 1, 2], [0, 2, 3]]))
     hairs = hairs_of(render_hairs(straight(), HairOptions(count=60), head))
     np.testing.assert_allclose(hairs.points[hairs.offsets[:-1], 2], 0.05, atol=1e-9)
-    with pytest.raises(DetangledError, match="from the roots"):
+    with pytest.raises(DetangledError, match="does not grow on this head"):
         render_hairs(straight(), HairOptions(count=60), Head(square + 30.0, head.faces))
 
 
@@ -280,6 +280,7 @@ def test_too_few_points_a_turn_are_said() -> None:
         {"variation": np.nan},
         {"clump_profile": Profile((0.0, 2.0))},
         {"points": 1},
+        {"points": 241},  # of 100,000 hairs: beyond 24 million
         {"wisp_radius": 0.0},
         {"width": -1.0},
         {"sub_clumps": -1},
@@ -320,6 +321,7 @@ def test_the_command_makes_hairs(tmp_path: Path) -> None:
         (["--width", "3mm"], 2, "a thickness of 3000 um"),
         (["--clump", "nan"], 2, "no finite number"),
         (["--flyaways", "2"], 2, "flyaways"),
+        (["--count", "1000000", "--points", "25"], 3, "give fewer points, 24 here, or fewer hairs"),
     ],
 )
 def test_the_command_refuses_in_one_line(tmp_path: Path, options: list[str], code: int, word: str) -> None:

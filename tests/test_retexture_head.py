@@ -136,3 +136,42 @@ def test_a_head_without_faces_is_refused_from_python_too(hair: Groom, texture: o
     empty = Head(np.zeros((3, 3)), np.zeros((0, 3), dtype=np.int64))
     with pytest.raises(ReadError, match="no faces"):
         retexture(hair, texture, Options(head=empty))  # type: ignore[arg-type]
+
+
+@pytest.mark.parametrize("verb", ["retexture", "hairs"])
+@pytest.mark.parametrize(("count", "code"), [(0, 3), (1, 0), (2, 0)])
+def test_a_head_under_so_few_strands_that_they_span_no_scalp(
+    hair: Groom, files: tuple[Path, Path], verb: str, count: int, code: int
+) -> None:
+    few, head = files[0].with_name("few.abc"), files[1]
+    write(hair.select(np.arange(1, 1 + count)), few)
+    out = few.with_name("out.abc")
+    own = {"retexture": ["--target", COILY], "hairs": ["--count", 10]}[verb]
+    arguments = [verb, few, out, *own, "--unit", "cm", "--head", head, "--head-unit", "m"]
+    done = CliRunner().invoke(detangled, [str(a) for a in arguments])
+    assert done.exit_code == code, done.stderr
+    if count == 0:
+        assert "holds no strands" in done.stderr
+        assert not out.exists()
+    else:
+        made = read(out, unit="cm")
+        assert made.strand_count == (count if verb == "retexture" else 10)
+        assert np.isfinite(made.points).all()
+    if count and verb == "retexture":
+        assert "neither curl nor neighbours to tell its density by; it is kept" in done.stderr
+
+
+def test_a_head_that_is_no_manifold_is_used_and_that_is_said(files: tuple[Path, Path]) -> None:
+    hair, head = files
+    mesh = trimesh.load(head, process=False)
+    inner = len(mesh.vertices)
+    wall = [[*mesh.faces[0][:2], inner]]
+    odd = trimesh.Trimesh(
+        np.concatenate([mesh.vertices, [[0.0, 0.0, 0.0]]]), np.concatenate([mesh.faces, wall]), process=False
+    )
+    odd.export(head)
+    done = run(hair, head, "--head-unit", "m", "--density", "keep")
+    assert done.exit_code == 0, done.stderr
+    assert "1 edges have more than two faces: what is inside is told by winding numbers" in done.stderr
+    made = read(hair.with_name("out.abc"), unit="m")
+    assert np.linalg.norm(made.points, axis=1).min() > 0.99 * RADIUS

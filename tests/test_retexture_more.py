@@ -181,6 +181,14 @@ def test_a_density_that_is_none_is_refused(files: tuple[Path, Path], density: st
     assert not files[0].with_name("out.abc").exists()
 
 
+def test_more_strands_than_are_made_are_refused_before_any_work(files: tuple[Path, Path]) -> None:
+    done = run(files[0], "--density", "1e9")
+    assert done.exit_code == 3
+    (line,) = done.stderr.splitlines()
+    assert "at most 4,000,000 are made" in line
+    assert not files[0].with_name("out.abc").exists()
+
+
 def test_a_preset_makes_a_file_that_its_engine_takes(files: tuple[Path, Path]) -> None:
     done = run(files[0], "--preset", "unreal")
     assert done.exit_code == 0, done.stderr

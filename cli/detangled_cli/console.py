@@ -82,6 +82,7 @@ def announce_first_run(last_kernel: str) -> None:
 
 
 UNIT_NAMES = "mm, cm, dm, m or in"
+UNIT_HELP = f"{UNIT_NAMES}, or so many of one, as 2.5mm"
 
 
 def input_argument(command: Command) -> Command:
@@ -135,7 +136,7 @@ def unit_option(command: Command) -> Command:
         "--unit",
         type=UNIT,
         metavar="U",
-        help=f"Unit of IN: {UNIT_NAMES}, or 2.5mm. Default: what the file says, else a guess from its size.",
+        help=f"Unit of IN: {UNIT_HELP}. Default: what the file says, else a guess from its size.",
     )(command)
 
 

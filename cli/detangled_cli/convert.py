@@ -8,7 +8,7 @@ from pathlib import Path
 import click
 
 from detangled_cli.console import (
-    UNIT_NAMES,
+    UNIT_HELP,
     announce_first_run,
     input_argument,
     note,
@@ -28,7 +28,7 @@ AXIS = click.Choice(["x", "y", "z"])
 @output_argument
 @preset_option()
 @unit_option
-@click.option("--out-unit", type=UNIT, metavar="U", help=f"Unit of OUT: {UNIT_NAMES}. Default: that of IN.")
+@click.option("--out-unit", type=UNIT, metavar="U", help=f"Unit of OUT: {UNIT_HELP}. Default: that of IN.")
 @click.option("--up", type=AXIS, help="Turn the groom until this axis points up. Default: as in IN.")
 @click.option("--in-up", type=AXIS, help="The axis that points up in IN, where the file does not say or is wrong.")
 @quiet_option

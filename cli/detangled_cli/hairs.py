@@ -67,7 +67,7 @@ if TYPE_CHECKING:
     "--points",
     type=click.IntRange(min=2),
     metavar="N",
-    help="Points of a hair. Default: as its guide has, within 24 million in all.",
+    help="Points of a hair, within 24 million in all. Default: as its guide has.",
 )
 @click.option("--width", type=THICKNESS, default="0.08mm", show_default=True, metavar="W", help="Of a hair.")
 @click.option("--with-guides", is_flag=True, help="Write the guide strands too, first, and flagged.")

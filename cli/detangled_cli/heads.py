@@ -7,7 +7,7 @@ from typing import TYPE_CHECKING
 
 import click
 
-from detangled_cli.console import UNIT_NAMES, Command, announce_first_run, warn
+from detangled_cli.console import UNIT_HELP, Command, announce_first_run, warn
 from detangled_cli.option_values import UNIT
 
 if TYPE_CHECKING:
@@ -28,7 +28,7 @@ def head_options(purpose: str) -> Callable[[Command], Command]:
                 help="Groups, objects or materials of MESH that are skin, with commas between them. Default: body, or "
                 "what is named as face, head or scalp, else all.",
             ),
-            click.option("--head-unit", type=UNIT, metavar="U", help=f"Unit of MESH: {UNIT_NAMES}."),
+            click.option("--head-unit", type=UNIT, metavar="U", help=f"Unit of MESH: {UNIT_HELP}."),
             click.option(
                 "--head",
                 "head_source",

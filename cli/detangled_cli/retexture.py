@@ -127,6 +127,7 @@ def command(
     """
     from detangled.formats import check_folder, check_writable
     from detangled.formats.frames import read_frames
+    from detangled.grooming.density import checked_factor
     from detangled.grooming.interpenetration import OnPenetration
     from detangled.grooming.lengths import Length
     from detangled.kernels import set_threads
@@ -156,6 +157,8 @@ def command(
         for sentence in groom.notes:
             warn(f"{source}: {sentence}")
         check_usable(groom, source)
+        if isinstance(density, float):
+            checked_factor(density, groom.strand_count)
         head = head_of(groom, head_source, head_unit, head_group)
     groom = replace(groom, attributes={**groom.attributes, **fibre_attributes(thickness, porosity)})
     announce_first_run("detangled.grooming.placing.resample")

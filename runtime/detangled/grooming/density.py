@@ -24,6 +24,7 @@ from detangled.grooming.scalp import Scalp, scalp_of
 STRAIGHT_RADIUS = 0.01  # [cm] about a hair's width: nobody sees such a curl, and a guide does not have it
 # Tightest of the eight types from the widest is 28 times denser; beyond this the radii are not what they seem.
 MOST_FACTOR = 32.0
+MOST_STRANDS = 4_000_000  # what an engine takes of one groom, and more than fits in most memories
 
 
 @dataclass(frozen=True)
@@ -69,8 +70,15 @@ def density_change(guides: StyleGuides, target_radius: float, scalp: Scalp | Non
     return DensityChange(factor, own, target_radius, straight, tuple(notes))
 
 
-def checked_factor(factor: float) -> float:
-    """The factor itself. Raises DetangledError where it is not finite, or not more than zero."""
+def checked_factor(factor: float, strands: int) -> float:
+    """The factor itself, by which so many strands become more or fewer.
+
+    Raises DetangledError where it is not finite, not more than zero, or makes more strands than four million.
+    """
     if not 0.0 < factor < inf:
         raise DetangledError(f"a change of density of {factor:g} is none: give a number above zero, such as 2.5")
+    if factor * strands > MOST_STRANDS:
+        raise DetangledError(
+            f"{factor:g} times the density would be {factor * strands:.3g} strands: at most {MOST_STRANDS:,} are made"
+        )
     return float(factor)

@@ -11,18 +11,16 @@ from math import ceil
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.errors import DetangledError
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Attribute, Groom, Scope, offsets_of
 from detangled.grooming.blue_noise import CANDIDATES, spread_out
 from detangled.grooming.density import checked_factor
 from detangled.grooming.guides import StyleGuides
+from detangled.grooming.head_fit import check_fit
 from detangled.grooming.interpolation import diverging, interpolated, joined, mixed_attributes
 from detangled.grooming.scalp import HEXAGONAL, Scalp, scalp_of
-from detangled.grooming.scalp_mesh import SAME_UV, check_near, places_on
+from detangled.grooming.scalp_mesh import SAME_UV, places_on
 from detangled.head import Head
-
-MOST_STRANDS = 4_000_000  # what an engine takes of one groom, and more than fits in most memories
 
 
 @dataclass(frozen=True)
@@ -68,15 +66,13 @@ def resampled(
     gives the same guides. Raises DetangledError for a factor that is none, a head without faces or away from the
     roots, and more than four million strands.
     """
-    factor = checked_factor(factor)
     usable = len(guides.kept)
-    if factor * usable > MOST_STRANDS:
-        raise DetangledError(
-            f"{factor:g} times the density would be {factor * usable:.3g} strands: at most {MOST_STRANDS:,} are made"
-        )
+    factor = checked_factor(factor, usable)
     roots = guides.groom.points[guides.groom.offsets[:-1]]
     scalp = scalp or scalp_of(roots)
-    notes = check_near(roots, places_on(roots, head)) if head is not None and usable else []
+    notes: list[str] = []
+    if head is not None:
+        check_fit(head, guides.groom)
     if factor < 1.0:
         return _thinned(groom, guides, factor, scalp, notes)
     parts = diverging(guides.as_groom(), scalp)

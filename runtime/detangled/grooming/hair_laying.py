@@ -93,10 +93,11 @@ def _offset(
     radius: float,
     tight: NDArray[np.float64],
     variation: float,
-) -> None:
+) -> float:
     """Fill ``out`` (m, 3) with where a hair's axis lies beside its guide's, both (m, 3).
 
-    tight: (m,), from 0 to 1, how much narrower than its radius the wisp is there.
+    tight: (m,), from 0 to 1, how much narrower than its radius the wisp is there. Returns from which share of the guide
+    on the hair is in its wisp.
     """
     m = axis.shape[0]
     apart = 0.0
@@ -128,6 +129,7 @@ def _offset(
         wanted = size + gathered * (wanted - size)
         for c in range(3):
             out[i, c] *= wanted / size
+    return reach
 
 
 @kernel
@@ -289,27 +291,23 @@ def laid(
         beside = np.empty((m, 3))
         # Flyaways vary more; what is in the middle of a wisp follows its guide.
         own = variation * (2.0 if flyaway[h] else 0.25 + 0.75 * rank[h])
-        _offset(beside, axes[h], even[g], lengths[g], rank[h], flyaway[h], random[h], radius, clump, variation)
+        joined = _offset(beside, axes[h], even[g], lengths[g], rank[h], flyaway[h], random[h], radius, clump, variation)
         if leaders[h, 0] != h or leaders[h, 1] != h:
             near = np.empty((m, 3))
             far = np.empty((m, 3))
-            one = leaders[h, 1]
-            _offset(
-                near, axes[one], even[g], lengths[g], rank[one], flyaway[one], random[one], radius, clump, variation
-            )
-            one = leaders[h, 0]
-            _offset(far, axes[one], even[g], lengths[g], rank[one], flyaway[one], random[one], radius, clump, variation)
+            # What leads a hair may join the wisp after it, and takes it along.
+            for one, led in ((leaders[h, 1], near), (leaders[h, 0], far)):
+                late = _offset(
+                    led, axes[one], even[g], lengths[g], rank[one], flyaway[one], random[one], radius, clump, variation
+                )
+                joined = max(joined, late)
             for i in range(m):
                 for c in range(3):
                     inner = beside[i, c] + tuft[i] * (near[i, c] - beside[i, c])
                     beside[i, c] = inner + 0.5 * tuft[i] * (far[i, c] - inner)
         axis = even[g] + beside
-        apart = 0.0
-        for c in range(3):
-            apart += (axes[h, 0, c] - even[g, 0, c]) ** 2
-        reach = min(GATHERING * np.sqrt(apart) / max(lengths[g], 1e-12), LATEST)
         for i in range(m):
-            if i >= reach * (m - 1):
+            if i >= joined * (m - 1):
                 away[k] = max(away[k], np.sqrt((beside[i] ** 2).sum()))
         frame = guide_frames(even[g])
         across = _frames(axis, -frame[0, 2], frame[0, 0])

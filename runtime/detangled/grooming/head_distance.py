@@ -7,7 +7,7 @@ edges. The sign is that of the generalised winding number.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -30,8 +30,7 @@ SURE = 0.2  # of winding number: a block that differs by more from INSIDE is in 
 FAR_OFF = 1e3  # [cm] where there is no surface at all
 
 
-@dataclass(frozen=True)
-class HeadDistance:
+class HeadDistance(NamedTuple):
     """Signed distances from a head [cm], negative inside.
 
     values: (X, Y, Z) float32 [cm], at origin + step * index. origin: (3,) [cm]. step: [cm].
@@ -43,11 +42,11 @@ class HeadDistance:
 
     def at(self, points: ArrayLike) -> NDArray[np.float64]:
         """Distances (P,) [cm] of points (P, 3) [cm] from the head, negative inside."""
-        return _distances(self.values, self.origin, self.step, compiled_input(points, np.float64))
+        return _distances(self, compiled_input(points, np.float64))
 
     def with_gradient(self, points: ArrayLike) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Distances (P,) [cm] of points (P, 3) [cm], and the directions (P, 3) in which they grow, not normalised."""
-        return _gradients(self.values, self.origin, self.step, compiled_input(points, np.float64))
+        return _gradients(self, compiled_input(points, np.float64))
 
 
 def head_distance(head: Head, around: ArrayLike | None = None, finest: float = FINEST_STEP) -> HeadDistance:
@@ -78,27 +77,24 @@ def head_distance(head: Head, around: ArrayLike | None = None, finest: float = F
     if (nearest < 0).any():
         sources = distance_transform_edt(nearest < 0, return_distances=False, return_indices=True)
         _fill_far(tree.corners, sources, nearest, near, low, step)
-    return HeadDistance(np.where(_inside(*tree, near, low, step), -near, near), low, step)
+    return HeadDistance(np.where(_inside(tree, near, low, step), -near, near), low, step)
 
 
 def exact_distances(tree: WindingTree, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Signed distances (P,) [cm] of points (P, 3) from all triangles, one by one: what the grid is measured by."""
-    return _exact(*tree, np.ascontiguousarray(points, dtype=np.float64))
+    return _exact(tree, np.ascontiguousarray(points, dtype=np.float64))
 
 
 @kernel
-def distance_at(
-    values: NDArray[np.float32], origin: NDArray[np.float64], step: float, x: float, y: float, z: float
-) -> float:
-    """Distance [cm] of one point [cm], trilinear between nodes; the first three arguments are a HeadDistance's."""
-    return distance_and_gradient(values, origin, step, x, y, z)[0]
+def distance_at(head: HeadDistance, x: float, y: float, z: float) -> float:
+    """Distance [cm] of one point [cm], trilinear between nodes."""
+    return distance_and_gradient(head, x, y, z)[0]
 
 
 @kernel
-def distance_and_gradient(
-    values: NDArray[np.float32], origin: NDArray[np.float64], step: float, x: float, y: float, z: float
-) -> tuple[float, float, float, float]:
+def distance_and_gradient(head: HeadDistance, x: float, y: float, z: float) -> tuple[float, float, float, float]:
     """Distance [cm] of one point [cm] and its gradient (3), of the trilinear interpolant."""
+    values, origin, step = head
     nx, ny, nz = values.shape
     gx, gy, gz = (x - origin[0]) / step, (y - origin[1]) / step, (z - origin[2]) / step
     cx, cy, cz = min(max(gx, 0.0), nx - 1.0), min(max(gy, 0.0), ny - 1.0), min(max(gz, 0.0), nz - 1.0)
@@ -122,24 +118,20 @@ def distance_and_gradient(
 
 
 @parallel_kernel
-def _distances(
-    values: NDArray[np.float32], origin: NDArray[np.float64], step: float, points: NDArray[np.float64]
-) -> NDArray[np.float64]:
+def _distances(head: HeadDistance, points: NDArray[np.float64]) -> NDArray[np.float64]:
     out = np.empty(points.shape[0])
     for p in prange(points.shape[0]):
-        out[p] = distance_at(values, origin, step, points[p, 0], points[p, 1], points[p, 2])
+        out[p] = distance_at(head, points[p, 0], points[p, 1], points[p, 2])
     return out
 
 
 @parallel_kernel
-def _gradients(
-    values: NDArray[np.float32], origin: NDArray[np.float64], step: float, points: NDArray[np.float64]
-) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+def _gradients(head: HeadDistance, points: NDArray[np.float64]) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     out = np.empty(points.shape[0])
     gradient = np.empty((points.shape[0], 3))
     for p in prange(points.shape[0]):
         out[p], gradient[p, 0], gradient[p, 1], gradient[p, 2] = distance_and_gradient(
-            values, origin, step, points[p, 0], points[p, 1], points[p, 2]
+            head, points[p, 0], points[p, 1], points[p, 2]
         )
     return out, gradient
 
@@ -230,11 +222,7 @@ def _fill_far(
 
 @parallel_kernel
 def _inside(
-    corners: NDArray[np.float64],
-    levels: int,
-    centres: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    dipoles: NDArray[np.float64],
+    tree: WindingTree,
     near: NDArray[np.float32],
     origin: NDArray[np.float64],
     step: float,
@@ -262,7 +250,7 @@ def _inside(
             # From the node by the block's middle to its furthest corner.
             if size == 1 or near[a, b, c] > np.sqrt(3.0) * (size // 2) * step:
                 x, y, z = origin[0] + (i + half) * step, origin[1] + (j + half) * step, origin[2] + (k + half) * step
-                w = winding_number(corners, levels, centres, radii, dipoles, x, y, z)
+                w = winding_number(tree, x, y, z)
                 if size == 1 or abs(w - INSIDE) > SURE:
                     inside[i : i + size, j : j + size, k : k + size] = w > INSIDE
                     continue
@@ -278,19 +266,15 @@ def _inside(
 
 @parallel_kernel
 def _exact(
-    corners: NDArray[np.float64],
-    levels: int,
-    centres: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    dipoles: NDArray[np.float64],
+    tree: WindingTree,
     points: NDArray[np.float64],
 ) -> NDArray[np.float64]:
     out = np.empty(points.shape[0])
     for p in prange(points.shape[0]):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]
         best = np.inf
-        for f in range(corners.shape[0]):
-            best = min(best, distance2_to_triangle(x, y, z, corners[f]))
-        inside = winding_number(corners, levels, centres, radii, dipoles, x, y, z) > INSIDE
+        for f in range(tree.corners.shape[0]):
+            best = min(best, distance2_to_triangle(x, y, z, tree.corners[f]))
+        inside = winding_number(tree, x, y, z) > INSIDE
         out[p] = -np.sqrt(best) if inside else np.sqrt(best)
     return out

@@ -46,36 +46,21 @@ def winding_tree(head: Head) -> WindingTree:
 
 def winding_numbers(tree: WindingTree, points: NDArray[np.float64]) -> NDArray[np.float64]:
     """Winding numbers (P,) at points (P, 3) [cm]: 1 inside, 0 outside."""
-    return _winding_numbers(*tree, np.ascontiguousarray(points, dtype=np.float64))
+    return _winding_numbers(tree, np.ascontiguousarray(points, dtype=np.float64))
 
 
 @parallel_kernel
-def _winding_numbers(
-    corners: NDArray[np.float64],
-    levels: int,
-    centres: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    dipoles: NDArray[np.float64],
-    points: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _winding_numbers(tree: WindingTree, points: NDArray[np.float64]) -> NDArray[np.float64]:
     out = np.empty(points.shape[0])
     for p in prange(points.shape[0]):
-        out[p] = winding_number(corners, levels, centres, radii, dipoles, points[p, 0], points[p, 1], points[p, 2])
+        out[p] = winding_number(tree, points[p, 0], points[p, 1], points[p, 2])
     return out
 
 
 @kernel
-def winding_number(
-    corners: NDArray[np.float64],
-    levels: int,
-    centres: NDArray[np.float64],
-    radii: NDArray[np.float64],
-    dipoles: NDArray[np.float64],
-    x: float,
-    y: float,
-    z: float,
-) -> float:
-    """Winding number of one point [cm]; the other arguments are a WindingTree's."""
+def winding_number(tree: WindingTree, x: float, y: float, z: float) -> float:
+    """Winding number of one point [cm]."""
+    corners, levels, centres, radii, dipoles = tree
     stack = np.empty(DEEPEST, dtype=np.int64)
     stack[0] = 1
     size = 1

@@ -52,13 +52,13 @@ class Inside(NamedTuple):
 def inside(points: ArrayLike, offsets: ArrayLike, head: HeadDistance) -> Inside:
     """Count the points (P, 3) [cm] of strands with these offsets (S + 1,) that are inside a head."""
     arrays = compiled_input(points, np.float64), compiled_input(offsets, np.int64)
-    return Inside(*_inside(*arrays, head.values, head.origin, head.step))
+    return Inside(*_inside(*arrays, head))
 
 
 def entering(points: ArrayLike, offsets: ArrayLike, head: HeadDistance, deeper_than: float = 0.0) -> NDArray[np.bool_]:
     """Which strands (S,) enter a head, also between their points, deeper than so much [cm]."""
     arrays = compiled_input(points, np.float64), compiled_input(offsets, np.int64)
-    return _clearances(*arrays, head.values, head.origin, head.step) < -deeper_than
+    return _clearances(*arrays, head) < -deeper_than
 
 
 class Turned(NamedTuple):
@@ -76,16 +76,14 @@ def turned_out(points: ArrayLike, offsets: ArrayLike, head: HeadDistance, cleara
     that no turn of up to 20 degrees brings out is left as it is.
     """
     arrays = compiled_input(points, np.float64), compiled_input(offsets, np.int64)
-    return Turned(*_turned_out(*arrays, head.values, head.origin, head.step, clearance))
+    return Turned(*_turned_out(*arrays, head, clearance))
 
 
 @parallel_kernel
 def _inside(
     points: NDArray[np.float64],
     offsets: NDArray[np.int64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
 ) -> tuple[NDArray[np.int64], NDArray[np.int64], NDArray[np.float64]]:
     count = offsets.shape[0] - 1
     within = np.zeros(count, dtype=np.int64)
@@ -96,7 +94,7 @@ def _inside(
         along = chord_lengths(strand)
         for i in range(strand.shape[0]):
             if along[i] > ROOT:
-                d = distance_at(values, origin, step, strand[i, 0], strand[i, 1], strand[i, 2])
+                d = distance_at(head, strand[i, 0], strand[i, 1], strand[i, 2])
                 counted[s] += 1
                 within[s] += d < 0.0
                 depths[s] = max(depths[s], -d)
@@ -104,16 +102,14 @@ def _inside(
 
 
 @kernel
-def _samples(
-    points: NDArray[np.float64], values: NDArray[np.float32], origin: NDArray[np.float64], step: float
-) -> NDArray[np.float64]:
+def _samples(points: NDArray[np.float64], head: HeadDistance) -> NDArray[np.float64]:
     """Points (n, 3), close enough to each other to miss nothing, of a strand without what may be in the skin."""
     strand = distinct_points(points)
     if strand.shape[0] < 2:
         return np.empty((0, 3))
     length = chord_lengths(strand)[-1]
     dense = resample_strand(strand, max(int(np.ceil(length / SAMPLE)), 1) + 1)
-    root = distance_at(values, origin, step, strand[0, 0], strand[0, 1], strand[0, 2])
+    root = distance_at(head, strand[0, 0], strand[0, 1], strand[0, 2])
     hidden = ROOT + WAY_OUT * max(-root, 0.0)
     first = int(np.floor(hidden / length * (dense.shape[0] - 1))) + 1
     return dense[min(first, dense.shape[0]) :]
@@ -125,9 +121,7 @@ def _clearance(
     root: NDArray[np.float64],
     axis: NDArray[np.float64],
     angle: float,
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     enough: float,
 ) -> float:
     """Least distance [cm] of the samples (n, 3), turned about an axis (3,) through the root, or any below ``enough``.
@@ -143,7 +137,7 @@ def _clearance(
         px = root[0] + x * cosine + (axis[1] * z - axis[2] * y) * sine + axis[0] * along
         py = root[1] + y * cosine + (axis[2] * x - axis[0] * z) * sine + axis[1] * along
         pz = root[2] + z * cosine + (axis[0] * y - axis[1] * x) * sine + axis[2] * along
-        least = min(least, distance_at(values, origin, step, px, py, pz))
+        least = min(least, distance_at(head, px, py, pz))
         if least < enough:
             return least
     return least
@@ -153,15 +147,13 @@ def _clearance(
 def _clearances(
     points: NDArray[np.float64],
     offsets: NDArray[np.int64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
 ) -> NDArray[np.float64]:
     out = np.full(offsets.shape[0] - 1, np.inf)
     for s in prange(offsets.shape[0] - 1):
-        samples = _samples(points[offsets[s] : offsets[s + 1]], values, origin, step)
+        samples = _samples(points[offsets[s] : offsets[s + 1]], head)
         for i in range(samples.shape[0]):
-            out[s] = min(out[s], distance_at(values, origin, step, samples[i, 0], samples[i, 1], samples[i, 2]))
+            out[s] = min(out[s], distance_at(head, samples[i, 0], samples[i, 1], samples[i, 2]))
     return out
 
 
@@ -171,21 +163,19 @@ def _least_turn(
     root: NDArray[np.float64],
     axis: NDArray[np.float64],
     most: float,
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     clearance: float,
 ) -> float:
     """The least turn [rad] about an axis that brings all samples out, below ``most``; infinite if none does."""
     low, high = 0.0, FIRST_TURN
-    while _clearance(samples, root, axis, high, values, origin, step, clearance) < clearance:
+    while _clearance(samples, root, axis, high, head, clearance) < clearance:
         low = high
         high += FIRST_TURN
         if high >= most:
             return np.inf
     for _ in range(HALVINGS):
         middle = 0.5 * (low + high)
-        if _clearance(samples, root, axis, middle, values, origin, step, clearance) < clearance:
+        if _clearance(samples, root, axis, middle, head, clearance) < clearance:
             low = middle
         else:
             high = middle
@@ -196,9 +186,7 @@ def _least_turn(
 def _outward_axes(
     samples: NDArray[np.float64],
     root: NDArray[np.float64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     clearance: float,
 ) -> NDArray[np.float64]:
     """Two axes (2, 3) across the guide: that about which the head's surface would turn it, and one across that."""
@@ -206,7 +194,7 @@ def _outward_axes(
     chord = np.zeros(3)
     for i in range(samples.shape[0]):
         r = samples[i] - root
-        d, gx, gy, gz = distance_and_gradient(values, origin, step, samples[i, 0], samples[i, 1], samples[i, 2])
+        d, gx, gy, gz = distance_and_gradient(head, samples[i, 0], samples[i, 1], samples[i, 2])
         need = max(clearance - d, 0.0)
         axes[0, 0] += need * (r[1] * gz - r[2] * gy)
         axes[0, 1] += need * (r[2] * gx - r[0] * gz)
@@ -229,9 +217,7 @@ def _outward_axes(
 def _turned_out(
     points: NDArray[np.float64],
     offsets: NDArray[np.int64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     clearance: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64], NDArray[np.bool_]]:
     out = points.copy()
@@ -239,18 +225,18 @@ def _turned_out(
     stuck = np.zeros(offsets.shape[0] - 1, dtype=np.bool_)
     for s in prange(offsets.shape[0] - 1):
         strand = points[offsets[s] : offsets[s + 1]]
-        samples = _samples(strand, values, origin, step)
+        samples = _samples(strand, head)
         if samples.shape[0] == 0:
             continue
         root = strand[0].copy()
-        if _clearance(samples, root, root, 0.0, values, origin, step, clearance) >= clearance:
+        if _clearance(samples, root, root, 0.0, head, clearance) >= clearance:
             continue
-        axes = _outward_axes(samples, root, values, origin, step, clearance)
+        axes = _outward_axes(samples, root, head, clearance)
         best, where = MOST_TURN, 0.0
         for a in range(AXES):
             around = 2.0 * np.pi * a / AXES
             axis = np.cos(around) * axes[0] + np.sin(around) * axes[1]
-            turn = _least_turn(samples, root, axis, best, values, origin, step, clearance)
+            turn = _least_turn(samples, root, axis, best, head, clearance)
             if turn < best:
                 best, where = turn, around
         if best >= MOST_TURN:
@@ -262,7 +248,7 @@ def _turned_out(
             for side in (-1.0, 1.0):
                 around = middle + side * aside
                 axis = np.cos(around) * axes[0] + np.sin(around) * axes[1]
-                turn = _least_turn(samples, root, axis, best, values, origin, step, clearance)
+                turn = _least_turn(samples, root, axis, best, head, clearance)
                 if turn < best:
                     best, where = turn, around
             aside *= 0.5

@@ -60,23 +60,7 @@ def place_outside(
     room: Room,
 ) -> Lifted:
     """World-space strands (P, 3) [cm] as of ``placing.place``, kept out of a head."""
-    head = room.head
-    return Lifted(
-        *_place_outside(
-            canonical,
-            offsets,
-            guides,
-            guide_offsets,
-            roots,
-            angles,
-            head.values,
-            head.origin,
-            head.step,
-            room.clearance,
-            room.window,
-            room.turn,
-        )
-    )
+    return Lifted(*_place_outside(canonical, offsets, guides, guide_offsets, roots, angles, *room))
 
 
 @parallel_kernel
@@ -87,9 +71,7 @@ def _place_outside(
     guide_offsets: NDArray[np.int64],
     roots: NDArray[np.float64],
     angles: NDArray[np.float64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     clearance: float,
     window: float,
     turn: float,
@@ -100,10 +82,10 @@ def _place_outside(
     for s in prange(offsets.shape[0] - 1):
         own = canonical[offsets[s] : offsets[s + 1]]
         dense, along = dense_guide(guides[guide_offsets[s] : guide_offsets[s + 1]])
-        angle = _outward_angle(own, roots[s], angles[s], dense, along, values, origin, step, clearance, START * window)
+        angle = _outward_angle(own, roots[s], angles[s], dense, along, head, clearance, START * window)
         seated = seat(own, roots[s], angle)
-        world, lifts[s] = _lifted(seated, dense, along, values, origin, step, clearance, window)
-        pushes[s] = _push(world, values, origin, step, clearance, PUSHED_SHARE * turn)
+        world, lifts[s] = _lifted(seated, dense, along, head, clearance, window)
+        pushes[s] = _push(world, head, clearance, PUSHED_SHARE * turn)
         out[offsets[s] : offsets[s + 1]] = world
     return out, lifts, pushes
 
@@ -115,9 +97,7 @@ def _outward_angle(
     angle: float,
     dense: NDArray[np.float64],
     along: NDArray[np.float64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     clearance: float,
     start: float,
 ) -> float:
@@ -136,7 +116,7 @@ def _outward_angle(
         need = 0.0
         for i in range(count):
             if way[i] > ROOT:
-                d = distance_at(values, origin, step, world[i, 0], world[i, 1], world[i, 2])
+                d = distance_at(head, world[i, 0], world[i, 1], world[i, 2])
                 need += max(clearance - d, 0.0)
         if need < best:
             best, chosen = need, tried
@@ -150,9 +130,7 @@ def _lifted(
     seated: NDArray[np.float64],
     dense: NDArray[np.float64],
     along: NDArray[np.float64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     clearance: float,
     window: float,
 ) -> tuple[NDArray[np.float64], float]:
@@ -165,7 +143,7 @@ def _lifted(
     at = along
     height = 0.0
     for _ in range(ROUNDS):
-        needs, ways = _needs(world, seated, at, values, origin, step, clearance)
+        needs, ways = _needs(world, seated, at, head, clearance)
         if needs.max() == 0.0:
             break
         rise = _smooth(_dilated(needs, wide), wide // 2 + 1)
@@ -198,9 +176,7 @@ def _needs(
     world: NDArray[np.float64],
     seated: NDArray[np.float64],
     along: NDArray[np.float64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     clearance: float,
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """How much room (m,) [cm] each sample of a guide lacks, and the ways out (m, 3), weighted by it.
@@ -217,7 +193,7 @@ def _needs(
             way += np.sqrt(((world[i] - world[i - 1]) ** 2).sum())
         if way <= ROOT:
             continue
-        d, gx, gy, gz = distance_and_gradient(values, origin, step, world[i, 0], world[i, 1], world[i, 2])
+        d, gx, gy, gz = distance_and_gradient(head, world[i, 0], world[i, 1], world[i, 2])
         need = clearance - d
         if need <= 0.0:
             continue
@@ -263,9 +239,7 @@ def _smooth(rise: NDArray[np.float64], wide: int) -> NDArray[np.float64]:
 @kernel
 def _push(
     world: NDArray[np.float64],
-    values: NDArray[np.float32],
-    origin: NDArray[np.float64],
-    step: float,
+    head: HeadDistance,
     clearance: float,
     reach: float,
 ) -> float:
@@ -283,7 +257,7 @@ def _push(
         for i in range(n):
             if way[i] <= ROOT:
                 continue
-            d, gx, gy, gz = distance_and_gradient(values, origin, step, world[i, 0], world[i, 1], world[i, 2])
+            d, gx, gy, gz = distance_and_gradient(head, world[i, 0], world[i, 1], world[i, 2])
             size = np.sqrt(gx * gx + gy * gy + gz * gz)
             need = clearance - d
             if need <= 0.0 or size == 0.0:

@@ -17,21 +17,22 @@ from detangled.errors import DetangledError, ReadError
 from detangled.geometry.arc import arc_lengths
 from detangled.geometry.winding import winding
 from detangled.groom import Attribute, Groom, Scope, offsets_of
-from detangled.grooming.density import STRAIGHT_RADIUS
-from detangled.grooming.density_resampling import MOST_STRANDS, new_roots
+from detangled.grooming.density import MOST_STRANDS, STRAIGHT_RADIUS
+from detangled.grooming.density_resampling import new_roots
 from detangled.grooming.guides import StyleGuides, style_guides
 from detangled.grooming.hair_laying import RANDOMS, axes_between, laid
+from detangled.grooming.head_fit import check_fit
 from detangled.grooming.interpolation import diverging, joined, mixed_attributes
 from detangled.grooming.placing import resample
 from detangled.grooming.scalp import Scalp, scalp_of
-from detangled.grooming.scalp_mesh import check_near, places_on
+from detangled.grooming.scalp_mesh import places_on
 from detangled.grooming.wisps import Wisps, wisps_of
 from detangled.head import Head
 from detangled.texture import Profile
 from detangled.usable import GREATEST_EXTENT, WHY_UNUSABLE
 
 AXIS_POINTS = 64  # of a hair's smooth axis: the style bends slowly
-MOST_POINTS = 24_000_000  # of all hairs, where no number is asked for: about a gigabyte with all that is made of them
+MOST_POINTS = 24_000_000  # of all hairs: about a gigabyte with all that is made of them
 FEWEST_PER_TURN = 8.0  # points: fewer show corners
 WIDTH_CM = 0.008  # of a hair
 # A wisp is so wide beside the place that its guide has, or beside its coil: a wider one would fill the coil's middle.
@@ -74,6 +75,11 @@ class HairOptions:
             raise DetangledError(f"{self.count} hairs cannot be made: ask for 1 to {MOST_STRANDS:,}")
         if self.points is not None and self.points < 2:
             raise DetangledError(f"a hair of {self.points} points is none: give 2 or more")
+        if self.points is not None and self.points * self.count > MOST_POINTS:
+            raise DetangledError(
+                f"{self.count} hairs of {self.points} points are {self.points * self.count:.3g} points, and at most "
+                f"{MOST_POINTS:,} are made: give fewer points, {MOST_POINTS // self.count} here, or fewer hairs"
+            )
         for name, size in (("wisp radius", self.wisp_radius), ("width", self.width)):
             if size is not None and not 0.0 < size < GREATEST_EXTENT:
                 raise DetangledError(f"{name} {size:g} cm must be more than zero, and less than 20 m")
@@ -139,7 +145,7 @@ def render_hairs(
     if usable < groom.strand_count:
         notes.append(f"{groom.strand_count - usable} strands cannot be guides, and have no hairs")
     if head is not None:
-        notes += check_near(strand_roots, places_on(strand_roots, head))
+        check_fit(head, guides.groom)
     scalp = scalp_of(strand_roots)
     places = _places(guides, scalp, options)
     if head is not None:

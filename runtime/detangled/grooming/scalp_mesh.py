@@ -14,10 +14,7 @@ from scipy.spatial import cKDTree
 from detangled.errors import DetangledError
 from detangled.head import Head
 from detangled.kernels import kernel, parallel_kernel, prange, thread_count
-from detangled.units import CM_PER_UNIT
 
-FAR = 1.5  # [cm] from the roots to the head, in the median: then it is not theirs
-OFF = 1.0  # [cm]: what a root may float above its head, or lie under its skin, without a word; real ones do by 0.4
 # Faces larger than so many medians are searched by pieces: a few huge ones would widen every search.
 LARGE = 3.0
 MOST_PIECES = 2_000_000
@@ -65,31 +62,6 @@ def places_on(points: NDArray[np.float64], head: Head) -> Places:
     faces = owner[found]
     weights = _feet(points, head.vertices[head.faces[faces]])
     return Places(np.einsum("nk,nkc->nc", weights, head.vertices[head.faces[faces]]), faces, weights)
-
-
-def check_near(roots: NDArray[np.float64], places: Places, name: str = "the head") -> list[str]:
-    """Sentences on roots (S, 3) [cm] that lie off their head. Raises DetangledError where it cannot be their head."""
-    if len(roots) == 0:
-        return []
-    off = np.linalg.norm(roots - places.positions, axis=1)
-    if np.median(off) > FAR:
-        raise DetangledError(
-            f"{name} is {np.median(off):.3g} cm from the roots, in the median: {_reason(roots, places)}"
-        )
-    count = int(np.count_nonzero(off > OFF))
-    return [f"{count} roots lie off {name}, by up to {off.max():.2g} cm"] if count else []
-
-
-def _reason(roots: NDArray[np.float64], places: Places) -> str:
-    """What may be wrong where roots lie far from a head."""
-    sizes = [np.linalg.norm(np.abs(p).max(axis=0)) for p in (roots, places.positions)]
-    if min(sizes) > 0.0:
-        ratio = sizes[0] / sizes[1]
-        for name, cm in CM_PER_UNIT.items():
-            for other, other_cm in CM_PER_UNIT.items():
-                if cm != other_cm and 0.8 < ratio / (cm / other_cm) < 1.25 and max(ratio, 1.0 / ratio) > 2.0:
-                    return f"it looks {ratio:.3g} times too {'small' if ratio > 1 else 'large'}, as {other} for {name}"
-    return "is it the head of this groom, in the same place, unit and axes?"
 
 
 def _pieces(head: Head) -> tuple[NDArray[np.int64], NDArray[np.float64]]:

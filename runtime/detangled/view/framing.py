@@ -9,7 +9,6 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.groom import Groom
-from detangled.head import Head
 from detangled.view.camera import upright
 from detangled.view.curves import Curves, drawable
 
@@ -22,8 +21,6 @@ STRAY_RANK = 0.9
 APART = 1.5
 # Of a head or body as much is framed as lies within this part of the hair's extent, and this far, of the hair.
 HEAD_REACH, HEAD_REACH_CM = 0.6, 15.0
-# A head further from the roots than this part of the hair's extent, or smaller than that part, is not theirs.
-HEAD_FARTHEST, HEAD_FARTHEST_CM, HEAD_SMALLEST = 0.5, 10.0, 0.15
 
 
 @dataclass(frozen=True)
@@ -83,23 +80,6 @@ def head_near(vertices: NDArray[np.floating], box: Box) -> NDArray[np.bool_]:
     """Which of a head's vertices (V, 3), in the box's axes, lie near enough to the hair to be framed, (V,)."""
     reach = min(HEAD_REACH * box.extent, HEAD_REACH_CM)
     return np.asarray(((vertices > box.low - reach) & (vertices < box.high + reach)).all(axis=1))
-
-
-def head_misfit(head: Head, groom: Groom, box: Box) -> str | None:
-    """Why a head cannot be the one under a groom: how it lies, in words; None where it can be."""
-    vertices = head.vertices[np.isfinite(head.vertices).all(axis=1)]
-    if len(vertices) == 0 or len(head.faces) == 0:
-        return "has no triangle that can be drawn"
-    size = float(np.max(np.ptp(vertices, axis=0)))
-    if size < HEAD_SMALLEST * box.extent:
-        return f"is {size:.3g} cm large where the hair is {box.extent:.3g} cm: is its unit another (--head-unit)?"
-    turned = vertices @ upright(groom.up).T
-    outside = np.maximum(np.maximum(box.low - turned, turned - box.high), 0.0)
-    gap = float(np.sqrt(np.min(np.sum(outside**2, axis=1))))
-    if gap > max(HEAD_FARTHEST * box.extent, HEAD_FARTHEST_CM):
-        lies = f"is {size:.3g} cm large and lies {gap:.3g} cm from the hair"
-        return f"{lies}: is its unit (--head-unit) or its up axis another?"
-    return None
 
 
 def _far(curves: Curves) -> NDArray[np.bool_]:

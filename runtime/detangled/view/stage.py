@@ -10,10 +10,11 @@ from numpy.typing import NDArray
 
 from detangled.errors import DetangledError, ReadError
 from detangled.groom import Groom
+from detangled.grooming.head_fit import misfit
 from detangled.head import Head
 from detangled.view.camera import Camera, frame, upright
 from detangled.view.curves import Curves, drawable
-from detangled.view.framing import Box, framed_points, hair_box, head_misfit, head_near, pivots
+from detangled.view.framing import Box, framed_points, hair_box, head_near, pivots
 from detangled.view.surface import Surface, drawable_surface
 
 # A head of 5,000 strands looks full at this width; at a hair's true 0.008 cm it would look transparent.
@@ -126,14 +127,14 @@ def set_up(
         extent = float(np.max(np.max([b.high for b in boxes], axis=0) - np.min([b.low for b in boxes], axis=0)))
     heads: list[Head | None] = [None] * len(grooms)
     if head is not None:
-        misfits = [head_misfit(head, groom, box) for groom, box in zip(grooms, boxes, strict=True)]
+        misfits = [misfit(head, groom) for groom in grooms]
         if all(misfits):
-            raise ReadError(f"{head_name} {misfits[0]}")
-        heads = [None if misfit else head for misfit in misfits]
-        for number, misfit in enumerate(misfits, start=1):
-            if misfit:
+            raise ReadError(f"{head_name}: {misfits[0]}")
+        heads = [None if why else head for why in misfits]
+        for number, why in enumerate(misfits, start=1):
+            if why:
                 name = names[number - 1] if names else f"groom {number}"
-                notes.append(f"{name} is drawn without the head: {head_name} {misfit}")
+                notes.append(f"{name} is drawn without the head: {head_name}: {why}")
     return Stage(tuple(grooms), tuple(boxes), tuple(places), tuple(heads), max(extent, 1e-3), tuple(notes))
 
 
