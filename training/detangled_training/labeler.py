@@ -169,21 +169,13 @@ class HelixNetwork(nn.Module):
         for layer in self.layers:
             x = layer(x)
         x = self.norm(x)
-        counts = [
-            share.expand(-1, -1, self.cells).reshape(x.shape[0], CELLS) for share in self.share(x).split(1, dim=2)
-        ]
+        said = [share.expand(-1, -1, self.cells).reshape(x.shape[0], CELLS) for share in self.share(x).split(1, dim=2)]
         lower = torch.arange(CELLS, device=x.device) >= LOWER_FROM
-        undisturbed_world = torch.log(world_clear[0]) + torch.log(world_clear[1])
-        shares = torch.softmax(
-            torch.cat([counts[0], counts[1] + undisturbed_world], 1) + torch.where(lower, 0.0, NEVER).repeat(2), dim=1
-        )
-        kappa = (shares * torch.cat([bend.low, world[0]], 1)).sum(dim=1).clamp_min(LEAST_RATE)
-        shares = torch.softmax(
-            torch.cat([counts[2] + torch.log(clear), counts[3] + undisturbed_world], 1)
-            + torch.where(lower, 0.0, UPPER).repeat(2),
-            dim=1,
-        )
-        plain = (shares * torch.cat([tau, world[1]], 1)).sum(dim=1)
+        in_world = torch.log(world_clear[0]) + torch.log(world_clear[1])
+        counts = (said[0], said[1] + in_world)
+        kappa = _mean_of_both((bend.low, world[0]), counts, torch.where(lower, 0.0, NEVER)).clamp_min(LEAST_RATE)
+        counts = (said[2] + torch.log(clear), said[3] + in_world)
+        plain = _mean_of_both((tau, world[1]), counts, torch.where(lower, 0.0, UPPER))
         tau = torch.sqrt(plain**2 + (LEAST_TORSION * kappa) ** 2)
         mean = x.mean(dim=1)
         return kappa * torch.exp(self.kappa_factor(mean)[:, 0]), tau * torch.exp(self.tau_factor(mean)[:, 0])
@@ -241,6 +233,12 @@ def undisturbed(x: Tensor, low_pass: Tensor) -> Tensor:
         low = torch.matmul(x * weight, low_pass) / torch.matmul(weight, low_pass)
         weight = _weight(_size(x - low, x))
     return torch.matmul(x * weight, low_pass) / torch.matmul(weight, low_pass)
+
+
+def _mean_of_both(signals: tuple[Tensor, Tensor], counts: tuple[Tensor, Tensor], place: Tensor) -> Tensor:
+    """The mean (B,) of two signals (B, L), each cell counting by logarithms: of its own, and of its place (L,)."""
+    shares = torch.softmax(torch.cat([count + place for count in counts], dim=1), dim=1)
+    return (shares * torch.cat(signals, dim=1)).sum(dim=1)
 
 
 def _size(x: Tensor, of: Tensor) -> Tensor:
