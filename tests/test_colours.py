@@ -250,7 +250,10 @@ def test_a_turn_into_a_still_picture_needs_a_number_of_frames(monkeypatch: pytes
 
 def test_a_head_of_another_unit_is_said_by_command(monkeypatch: pytest.MonkeyPatch, tmp_path: Path) -> None:
     pytest.importorskip("detangled.formats.meshes")
-    (tmp_path / "head.obj").write_text("v 0 0 0\nv 10 0 0\nv 0 10 0\nv 0 0 10\nf 1 3 2\nf 1 2 4\nf 1 4 3\nf 2 3 4\n")
+    # A box about the roots, which lie within a centimetre of it.
+    corners = "".join(f"v {x} {y} {z}\n" for x in (-3, 3) for y in (-3, 3) for z in (-3, 3))
+    sides = "f 1 2 4 3\nf 5 7 8 6\nf 1 5 6 2\nf 3 4 8 7\nf 1 3 7 5\nf 2 6 8 4\n"
+    (tmp_path / "head.obj").write_text(corners + sides)
     given = ["a.abc", str(tmp_path / "o.png"), "--size", "64", "--head", str(tmp_path / "head.obj"), "--head-unit"]
     assert _command(monkeypatch, *given, "cm").exit_code == 0
     (tmp_path / "o.png").unlink()
