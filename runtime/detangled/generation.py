@@ -16,6 +16,7 @@ from detangled.errors import TextureError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.groom import Groom, offsets_of
+from detangled.grooming.density import MOST_STRANDS
 from detangled.grooming.lengths import Length, canonical_strands, resized
 from detangled.grooming.placing import cut, resample
 from detangled.retexturing import DROPPED_TURNS, arcs_to_make, drawn_arcs, turns_about_axis
@@ -24,7 +25,6 @@ from detangled.synthesis import synthesise
 
 CHUNK = 512  # strands made at once
 LENGTHS = (0.1, 2000.0)  # [cm]
-MOST_STRANDS = 4_000_000
 SPARE = 1.02  # of the arc, to cut from
 APART, LEAST_RADIUS = 4.0, 0.05  # radii between the axes of neighbours, each at least so many cm
 IN_ROW = 16

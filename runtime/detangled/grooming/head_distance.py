@@ -265,10 +265,7 @@ def _inside(
 
 
 @parallel_kernel
-def _exact(
-    tree: WindingTree,
-    points: NDArray[np.float64],
-) -> NDArray[np.float64]:
+def _exact(tree: WindingTree, points: NDArray[np.float64]) -> NDArray[np.float64]:
     out = np.empty(points.shape[0])
     for p in prange(points.shape[0]):
         x, y, z = points[p, 0], points[p, 1], points[p, 2]

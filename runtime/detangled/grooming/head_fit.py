@@ -37,13 +37,13 @@ def fitted_to(head: Head, groom: Groom) -> Head:
     if len(roots) == 0 or len(head.faces) == 0:
         return head
     off = _distances(head, roots)
-    if np.median(off) > TOUCHING:
+    if not np.median(off) <= TOUCHING:
         few = roots[::FEW_ROOTS]
         for (old, new), turn in _TURNS.items():
             turned = replace(head, vertices=head.vertices @ turn.T)
             if np.median(_distances(turned, few)) <= TOUCHING:
                 return replace(turned, notes=(*head.notes, f"turned from {old} up to {new} up, as the groom is"))
-    check_fit(head, groom)
+        check_fit(head, groom)
     away = np.count_nonzero(off > TOUCHING)
     if away == 0:
         return head

@@ -126,9 +126,8 @@ FIGURE = Figure(
     paper="the efficacy of guidance",
     short="Strands are drawn by the default method, the library, and not by the pretrained network under guidance; and "
     "they are settled to radius and wavelength by the very labelers that read them here "
-    "(benchmarks/sweeps.py has others read them). Twist rises to 0.6 only: beyond 0.65 the library has no strands of "
-    f"type {TYPE}'s slope, and asked for more it gives steeper coils that twist no oftener "
-    "(of types VII and VIII it has some up to 0.9).",
+    "(benchmarks/sweeps.py has others read them). Twist rises to 0.6 only: beyond, the library has no strands of "
+    f"type {TYPE}'s slope, and asked for more it gives steeper coils that twist no oftener.",
     steps=sum(len(values) for values in SWEPT.values()),
     draw=draw,
 )
