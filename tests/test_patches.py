@@ -10,7 +10,7 @@ import pytest
 from numpy.typing import NDArray
 
 from detangled.diffusion.patches import PatchSchedule, denoise_strands, plan_stretches
-from detangled.diffusion.steering import steer_strands
+from detangled.diffusion.steering import DRAWN, DRAWN_YET, Steering, steer_strands
 from detangled.diffusion.whitening import Whitening
 from detangled.fitted import FittedTexture
 from detangled.fitting import fit
@@ -251,21 +251,27 @@ def turn_of(signal: NDArray[np.float64]) -> float:
     return 2 * np.pi / float(np.median(np.hypot(signal[:, 0], signal[:, 1])))
 
 
-def test_steering_straightens_a_wandering_axis(wandering: dict[str, NDArray[np.float64]]) -> None:
+@pytest.mark.parametrize(("steering", "left"), [(DRAWN_YET, 0.5), (DRAWN, 0.9)])
+def test_steering_straightens_a_wandering_axis(
+    wandering: dict[str, NDArray[np.float64]], steering: Steering, left: float
+) -> None:
     signal = wandering["curved"]
-    (steered,) = steer_strands(signal[None], turn_of(signal))
+    (steered,) = steer_strands(signal[None], turn_of(signal), steering)
     before, after = axis_wander(signal, 20.0), axis_wander(steered, 20.0)
     assert before > 1.25
-    assert after < 1.0 + 0.5 * (before - 1.0)
+    assert after < 1.0 + left * (before - 1.0)
     assert steered[:, 0].min() >= 0.0
     np.testing.assert_array_equal(steered[:, 2], signal[:, 2])
     # It turns the axis, not the curl: the middle of the strand's curvature stays what it was.
     assert np.median(steered[:, 0]) == pytest.approx(np.median(signal[:, 0]), rel=0.05)
 
 
-def test_steering_leaves_a_straight_axis_nearly_alone(wandering: dict[str, NDArray[np.float64]]) -> None:
+@pytest.mark.parametrize("steering", [DRAWN_YET, DRAWN])
+def test_steering_leaves_a_straight_axis_nearly_alone(
+    wandering: dict[str, NDArray[np.float64]], steering: Steering
+) -> None:
     signal = wandering["straight"]
-    (steered,) = steer_strands(signal[None], turn_of(signal))
+    (steered,) = steer_strands(signal[None], turn_of(signal), steering)
     assert axis_wander(signal, 20.0) < 1.01
     # The first and last cells have the end conditions of the spline, not the helix'.
     inner = slice(16, -16)

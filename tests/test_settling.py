@@ -20,7 +20,7 @@ from detangled.groom import Groom
 from detangled.grooming.lengths import Length
 from detangled.labeling import label
 from detangled.retexturing import Options, retexture
-from detangled.settling import BY_HELIX, BY_LABELS, MOST_RESIZED, Settling, sizes_read
+from detangled.settling import BY_EXTENT, BY_LABELS, MOST_RESIZED, Settling, sizes_read
 from detangled.texture import arc_of_a_turn, hair_type
 
 
@@ -37,18 +37,18 @@ def helices(*sizes: tuple[float, float], length: float = 24.0) -> Groom:
 SIZES = [(0.3, 1.0), (0.8, 3.0), (0.2, 0.5)]
 
 
-@pytest.mark.parametrize("by", [BY_HELIX, BY_LABELS])
+@pytest.mark.parametrize("by", [BY_EXTENT, BY_LABELS])
 def test_a_helix_reads_as_it_is(by: str) -> None:
     np.testing.assert_allclose(sizes_read(helices(*SIZES), by), SIZES, rtol=0.03)
 
 
-def test_waves_too_weak_for_the_labelers_are_read_by_the_helix_equations() -> None:
+def test_waves_too_weak_for_the_labelers_are_read_by_their_extent() -> None:
     waves = [(0.2, 20.0), (0.45, 9.0)]
     assert np.isnan(sizes_read(helices(waves[0]), BY_LABELS)).all()
-    np.testing.assert_allclose(sizes_read(helices(*waves), BY_HELIX), waves, rtol=0.06)
+    np.testing.assert_allclose(sizes_read(helices(*waves), BY_EXTENT), waves, rtol=0.06)
 
 
-@pytest.mark.parametrize("by", [BY_HELIX, BY_LABELS])
+@pytest.mark.parametrize("by", [BY_EXTENT, BY_LABELS])
 def test_strands_are_resized_to_what_is_wanted_but_not_beyond_reason(by: str) -> None:
     groom, lengths = helices(*SIZES), np.full(3, 24.0)
     sizes = Settling(by, 0.33, 0.9).sizes(groom.points, groom.offsets, lengths)
@@ -62,7 +62,7 @@ def test_only_what_is_kept_of_a_strand_is_read() -> None:
     below = upper[-1] * [0.0, 0.0, 1.0]
     both = np.concatenate([upper, lower + below])
     offsets = np.array([0, len(both)])
-    sizes = Settling(BY_HELIX, 0.3, 1.0).sizes(both, offsets, np.array([19.0]))
+    sizes = Settling(BY_EXTENT, 0.3, 1.0).sizes(both, offsets, np.array([19.0]))
     np.testing.assert_allclose(sizes, 1.0, rtol=0.03)
 
 
@@ -93,10 +93,10 @@ def test_each_strand_reads_nearer_to_what_is_asked(coily: FittedTexture) -> None
     assert (settled < 0.06).all()
 
 
-def test_waves_settle_by_the_helix_equations() -> None:
+def test_waves_settle_by_their_extent() -> None:
     texture = asked_texture(asked(hair_type("2B")))
     assert texture.settling is not None
-    assert texture.settling.by == BY_HELIX
+    assert texture.settling.by == BY_EXTENT
     wanted = asked(hair_type("2B"))
     errors = []
     for one in (texture, replace(texture, settling=None)):

@@ -13,7 +13,7 @@ from detangled.generation import generate
 from detangled.geometry.winding import winding
 from detangled.groom import Groom
 from detangled.labeling import label
-from detangled.settling import BY_HELIX, BY_LABELS, Settling, sizes_read
+from detangled.settling import BY_EXTENT, BY_LABELS, Settling, sizes_read
 from detangled.texture import trust_in_winding
 
 DRAWN, LENGTHS = 48, (8.0, 40.0)  # how many, and how long they are [cm]
@@ -60,12 +60,12 @@ def settled(texture: AnyTexture, radius: float, wavelength: float, twist: float)
 
     Where most of its strands cannot be read they are left as they are drawn.
     """
-    by = BY_HELIX if trust_in_winding(twist) > 0.5 else BY_LABELS
+    by = BY_EXTENT if trust_in_winding(twist) > 0.5 else BY_LABELS
     for seed in range(SEED, SEED + ROUNDS):
         strands = _drawn(texture, seed)
         found = _numbers(strands)
         read = found.labelled
-        if by == BY_HELIX:
+        if by == BY_EXTENT:
             read = np.array([_middle(values) for values in sizes_read(strands, by).T])
         wanted = read * np.array([radius, wavelength]) / found.sizes(twist)
         if not np.isfinite(wanted).all():

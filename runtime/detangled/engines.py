@@ -13,13 +13,13 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.base_texture import Texture
-from detangled.diffusion.calibration import calibrated
+from detangled.diffusion.calibration import calibrated, for_length
 from detangled.diffusion.denoiser import NetworkDenoiser
 from detangled.diffusion.guidance import Guidance, by_differences, by_gradients
 from detangled.diffusion.patches import denoise_strands, plan_stretches
 from detangled.diffusion.sampler import Denoiser, Guide, SamplerStep, sample
 from detangled.diffusion.schedule import CosineSchedule
-from detangled.diffusion.steering import steer_strands, with_arcs
+from detangled.diffusion.steering import DRAWN, DRAWN_YET, steer_strands, with_arcs
 from detangled.diffusion.whitening import Whitening
 from detangled.errors import ModelError
 from detangled.fitted import FINETUNE, FittedTexture
@@ -118,17 +118,24 @@ class NetworkEngine:
     def draw(
         self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
     ) -> NDArray[np.float64]:
-        texture = self._texture
-        guide = _guide(texture, texture.whitening, cells, arcs)
+        channels = self.sampled(_noise(generators, cells), arcs, steps)
+        return self.finished(calibrated(channels, for_length(self._texture.calibration, cells / self.shown)), arcs)
+
+    def sampled(self, noise: NDArray[np.float64], arcs: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
+        """Whitened channels (B, 3, L) of strands, not yet calibrated, of as much noise."""
+        guide = _guide(self._texture, self._texture.whitening, noise.shape[2], arcs)
         # A network of senseless weights predicts whatever it may: that is told of below, once.
         with np.errstate(all="ignore"):
-            channels = sample(self._network, _noise(generators, cells), CosineSchedule(), steps, guide)
-            if texture.calibration.size:
-                channels = calibrated(channels, texture.calibration)
-            values = with_arcs(texture.whitening.restore(channels), arcs)
-        if not np.isfinite(values).all():
+            channels = sample(self._network, noise, CosineSchedule(), steps, guide)
+        if not np.isfinite(channels).all():
             raise ModelError("the texture's network predicts no finite strands, its weights are damaged: fit it again")
-        return values
+        return channels
+
+    def finished(self, channels: NDArray[np.float64], arcs: NDArray[np.float64]) -> NDArray[np.float64]:
+        """Signals of whitened channels (B, 3, L): of the arc lengths asked for, their axes straight again."""
+        values = with_arcs(self._texture.whitening.restore(channels), arcs)
+        steered = _steered(self._texture, channels.shape[2])
+        return steer_strands(values, self._texture.turn, DRAWN) if steered else values
 
 
 class NumberedEngine:
@@ -208,7 +215,7 @@ def _guide(
         if guided is not None:
             values = guided(values, step)
         if steered and step.sigma < STEER_BELOW * step.alpha:
-            values = steer_strands(values, texture.turn)
+            values = steer_strands(values, texture.turn, DRAWN_YET)
         return whitening.whiten(values)
 
     return guide

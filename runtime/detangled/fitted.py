@@ -25,7 +25,7 @@ from detangled.shape import Shape
 
 SUFFIX = ".texture"
 FORMAT = "detangled texture"
-VERSION = 5
+VERSION = 6
 PATCHES, FINETUNE = "patches", "finetune"
 METHODS = (PATCHES, FINETUNE)
 
@@ -37,7 +37,7 @@ class FittedTexture(Texture):
     signals: (C, 3), kappa, tau [1/cm] and v [cm per t] of the examples, one after another.
     starts: (E + 1,), strand e is in rows starts[e] to starts[e + 1].
     method: the engine that draws new strands, PATCHES or FINETUNE. weights: (P,) float16, of the network that was
-    trained on the strands, and architecture, its sizes; calibration: (2, 2, 2, Q), how far what it draws is off
+    trained on the strands, and architecture, its sizes; calibration: (2, 2, 2, 2, Q), how far what it draws is off
     (``diffusion.calibration``). None of them for PATCHES.
     """
 
@@ -48,7 +48,7 @@ class FittedTexture(Texture):
     method: str = PATCHES
     weights: NDArray[np.float16] = field(default_factory=lambda: np.empty(0, dtype=np.float16))
     architecture: dict[str, Any] = field(default_factory=dict)
-    calibration: NDArray[np.float64] = field(default_factory=lambda: np.empty((2, 2, 2, 0)))
+    calibration: NDArray[np.float64] = field(default_factory=lambda: np.empty((2, 2, 2, 2, 0)))
 
     @property
     def strand_count(self) -> int:
@@ -160,9 +160,9 @@ def _check_arrays(values: NDArray[Any], starts: NDArray[Any], weights: NDArray[A
 
 def _check_calibration(levels: NDArray[np.float64], method: str) -> None:
     """Raise ValueError where it is not monotone maps."""
-    if levels.ndim != 4 or levels.shape[:3] != (2, 2, 2) or not np.isfinite(levels).all():
+    if levels.ndim != 5 or levels.shape[:4] != (2, 2, 2, 2) or not np.isfinite(levels).all():
         raise ValueError("a calibration of another shape, or not finite")
-    if (np.diff(levels, axis=3) < 0.0).any():
+    if (np.diff(levels, axis=4) < 0.0).any():
         raise ValueError("a calibration that is not monotone")
     if (levels.size > 0) != (method == FINETUNE):
         raise ValueError("a calibration that does not go with the method")

@@ -12,9 +12,11 @@ from itertools import pairwise
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.diffusion.calibration import calibration
+from detangled.diffusion.calibration import LONGER, calibration
 from detangled.diffusion.finetune import FineTuning, StepProgress, curl_both_ways, fine_tune
+from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.diffusion.whitening import Whitening
+from detangled.engines import NetworkEngine
 from detangled.errors import ModelError, TextureError
 from detangled.fitted import FINETUNE, METHODS, PATCHES, FittedTexture
 from detangled.geometry.arc import arc_lengths
@@ -22,15 +24,16 @@ from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import style_guides
+from detangled.grooming.lengths import canonical_strands
 from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
-from detangled.synthesis import synthesise
 from detangled.usable import WHY_UNUSABLE, usable_strands
 
 POINTS_PER_TURN = 16  # of a new strand, and of targets before they are measured
 COARSE_CELLS = 512  # of a strand whose turns are only to be counted
-CALIBRATED_BY = 64  # strands drawn to see how far they are off
+# Pairs of strands so many times as long as the targets that are drawn to see how far they are off.
+CALIBRATED_BY = (1.0, 24), (LONGER, 10)
 CALIBRATION_SEED = 1 << 31
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
@@ -79,18 +82,35 @@ def fit(
 
 
 def _calibration(texture: FittedTexture) -> NDArray[np.float64]:
-    """How far the strands that a network draws are off, measured on some that are as long as the targets."""
-    arcs = np.sort([texture.signals[a:b, 2].mean() for a, b in pairwise(texture.starts)])
-    arcs = arcs[np.linspace(0, len(arcs) - 1, CALIBRATED_BY).round().astype(np.int64)]
-    # Shorter ones would be pieces without ends.
-    arcs = np.maximum(arcs, texture.median_arc)
-    values, starts = synthesise(texture, arcs, np.arange(CALIBRATED_BY), CALIBRATION_SEED)
-    drawn = [texture.whitening.whiten(values[a:b]) for a, b in pairwise(starts)]
+    """How far the strands that a network draws are off, as long as the targets and longer, (2, 2, 2, 2, Q)."""
     wanted = [texture.channels[:, a:b] for a, b in pairwise(texture.starts)]
-    if curl_both_ways(wanted, texture.whitening):
-        # The network saw both hands alike.
-        drawn, wanted = ([*s, *(texture.whitening.mirrored(one) for one in s)] for s in (drawn, wanted))
-    return calibration(drawn, wanted)
+    whitening, engine = texture.whitening, NetworkEngine(texture)
+    # The network saw both hands alike.
+    mirrored = whitening.mirrored if curl_both_ways(wanted, whitening) else None
+    levels = []
+    for times, pairs in CALIBRATED_BY:
+        cells = int(texture.grid_cells(np.array([times * texture.median_arc]))[0])
+        arcs = np.full(2 * pairs, times * texture.median_arc)
+        # Of opposite noise come opposite chances: fewer strands tell as much.
+        noise = np.random.default_rng(CALIBRATION_SEED).standard_normal((pairs, 3, cells))
+        drawn = engine.sampled(np.concatenate([noise, -noise]), arcs, DEFAULT_STEPS)
+
+        def as_made(channels: NDArray[np.float64], arcs: NDArray[np.float64] = arcs) -> NDArray[np.float64]:
+            return whitening.whiten(_as_made(engine.finished(channels, arcs), texture.turn))
+
+        levels.append(calibration(drawn, wanted, as_made, mirrored))
+    return np.stack(levels)
+
+
+def _as_made(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+    """Signals (B, L, 3) of strands made of such signals, measured as targets are: straight, of POINTS_PER_TURN."""
+    count, cells, _ = values.shape
+    starts = np.arange(count + 1) * cells
+    points, offsets = canonical_strands(
+        values.reshape(-1, 3), starts, straight=np.zeros(count, dtype=np.bool_), dropped=np.zeros(count), wave_turn=0.0
+    )
+    sparse = offsets_of(np.ceil(POINTS_PER_TURN * values[:, :, 2].mean(axis=1) / turn).astype(np.int64) + 1)
+    return signals(resample(points, offsets, sparse), sparse, starts).reshape(values.shape)
 
 
 def measured(groom: Groom, grid: Grid) -> FittedTexture:

@@ -3,38 +3,32 @@
 About its own axis a strand may be made wider and longer without becoming another. So what is left of the way to the
 numbers, after whatever drew it, is gone at once, and along a strand its natural variation stays.
 
-Strands of many twists are read by the labelers. Where there are few, the helix equations say as much of a few turns,
-and also of waves too weak for the labelers: the helix of a strand's median curvature and torsion that is as steep as
-it.
+Strands of many twists are read by the labelers. Where there are few, and also of waves too weak for the labelers, what
+a strand extends about its axis says as much: the root mean square of its distance from it, and of how fast that turns.
 """
 
 from __future__ import annotations
 
 from dataclasses import dataclass
-from itertools import pairwise
 
 import numpy as np
 from numpy.typing import NDArray
 
 from detangled.geometry.arc import arc_lengths, arc_positions
-from detangled.geometry.signal import signals
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.placing import cut, resample
-from detangled.labeling import CELLS, Reading, label
+from detangled.labeling import Reading, label
 from detangled.texture import arc_of_a_turn
 
-BY_LABELS, BY_HELIX = "labels", "helix"
+BY_LABELS, BY_EXTENT = "labels", "extent"
 MOST_RESIZED = 1.2  # one strand, beside the others of its texture; so much more hair is drawn, to cut from
-ENDS = 0.08  # of a strand at either end, where axes are known least well
-MOST_CELLS = 4096
 # Of strands that are read, about as they will be written: reading what is drawn, finer still, takes minutes.
 POINTS_PER_TURN, FEWEST_POINTS = 32.0, 64
-STEEPEST = 0.9999  # fall over arc
 
 
 @dataclass(frozen=True)
 class Settling:
-    """What is to be read in each strand, BY_LABELS or BY_HELIX: radius and wavelength [cm].
+    """What is to be read in each strand, BY_LABELS or BY_EXTENT: radius and wavelength [cm].
 
     Raises ValueError where they are not finite, or not positive, or ``by`` is another.
     """
@@ -44,7 +38,7 @@ class Settling:
     wavelength: float
 
     def __post_init__(self) -> None:
-        if self.by not in (BY_LABELS, BY_HELIX) or not (0.0 < self.radius < np.inf and 0.0 < self.wavelength < np.inf):
+        if self.by not in (BY_LABELS, BY_EXTENT) or not (0.0 < self.radius < np.inf and 0.0 < self.wavelength < np.inf):
             raise ValueError(f"nothing to settle strands to: {self}")
 
     def sizes(
@@ -70,11 +64,24 @@ def sizes_read(strands: Groom, by: str) -> NDArray[np.float64]:
         labels = label(strands)
         read = labels.reading == Reading.READ
         return np.where(read[:, None], np.stack([labels.radius, labels.wavelength], axis=1), np.nan)
-    starts = offsets_of(np.clip(np.diff(strands.offsets), CELLS, MOST_CELLS))
-    values = signals(strands.points, strands.offsets, starts)
-    inner = [slice(a + round(ENDS * (b - a)), b - round(ENDS * (b - a))) for a, b in pairwise(starts)]
-    medians = np.array([np.median(values[part, :2], axis=0) for part in inner])
-    rate = np.maximum(np.hypot(*medians.T), 1e-9)
-    ends = strands.points[strands.offsets[1:] - 1, 2], strands.points[strands.offsets[:-1], 2]
-    steepness = np.clip(np.abs(ends[0] - ends[1]) / arc_lengths(strands.points, strands.offsets), 0.0, STEEPEST)
-    return np.stack([np.sqrt(1.0 - steepness**2) / rate, 2.0 * np.pi * steepness / rate], axis=1)
+    return _extents(strands.points, strands.offsets)
+
+
+def _extents(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
+    """Radius and wavelength (S, 2) [cm] of canonical strands by second moments about their axis; NaN if on it.
+
+    Of a helix, whatever hand it has where, both are its own.
+    """
+    edges, middles = np.diff(points, axis=0), 0.5 * (points[1:] + points[:-1])
+    steps = np.maximum(np.linalg.norm(edges, axis=1), 1e-12)
+    within = np.ones(len(edges))
+    within[offsets[1:-1] - 1] = 0.0  # from one strand to the next
+    arc, away, around = (
+        np.add.reduceat(within * values, offsets[:-1])
+        for values in (steps, steps * (middles[:, :2] ** 2).sum(axis=1), (edges[:, :2] ** 2).sum(axis=1) / steps)
+    )
+    fall = np.abs(points[offsets[1:] - 1, 2] - points[offsets[:-1], 2])
+    with np.errstate(divide="ignore", invalid="ignore"):
+        turn = 2.0 * np.pi * np.sqrt(away / around)
+        sizes = np.stack([np.sqrt(away / arc), turn * fall / arc], axis=1)
+    return np.where((sizes > 0.0).all(axis=1, keepdims=True), sizes, np.nan)

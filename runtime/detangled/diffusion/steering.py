@@ -9,6 +9,8 @@ large already: a change at a twist changes the texture least.
 
 from __future__ import annotations
 
+from typing import NamedTuple
+
 import numpy as np
 from numpy.typing import NDArray
 
@@ -16,9 +18,24 @@ from detangled.kernels import kernel, parallel_kernel, prange
 
 # Found on strands four times as long as their examples (benchmarks/retexture.py prints wander and distances).
 AXIS_TURNS = 0.5  # deviation of the Gaussian that makes the axis of the tangents, in turns
-RETURN_TURNS = 0.8  # length over which a tilt of the axis falls to 1/e, in turns
-FREE_TILT = 0.2  # sine of the tilt that is left alone: real strands wander so much
 MOST_TURNED = 0.7  # share of the tilt that one cell may take away
+
+
+class Steering(NamedTuple):
+    """How strongly strands are steered.
+
+    return_turns: length over which a tilt of the axis falls to 1/e, in turns. free_tilt: sine of the tilt that is left
+    alone. at_twists: how much more of it is taken where the torsion is large.
+    """
+
+    return_turns: float
+    free_tilt: float
+    at_twists: float
+
+
+# Real strands tilt as much as is left alone. What is predicted while strands are drawn is predicted anew, and grows
+# smooth; once they are drawn only the most is taken, all along the strand: that leaves torsion as it is.
+DRAWN_YET, DRAWN = Steering(0.8, 0.2, 1.0), Steering(1.6, 0.3, 0.0)
 
 
 @kernel
@@ -42,7 +59,9 @@ def _advance(frame: NDArray[np.float64], bend: float, twist: float) -> None:
 
 
 @kernel
-def steer_strand(kappa: NDArray[np.float64], tau: NDArray[np.float64], step: float, turn: float) -> None:
+def steer_strand(
+    kappa: NDArray[np.float64], tau: NDArray[np.float64], step: float, turn: float, steering: Steering
+) -> None:
     """Straighten the axis of one strand by changing ``kappa`` and ``tau`` (L,) [1/cm] in place.
 
     step: arc length of a cell [cm]. turn: arc length of a turn [cm]. The axis is not known near the
@@ -59,7 +78,7 @@ def steer_strand(kappa: NDArray[np.float64], tau: NDArray[np.float64], step: flo
     inner = min(reach, (cells - 1) // 2)
     weights = np.exp(-0.5 * (np.arange(reach + 1.0) * step / (AXIS_TURNS * turn)) ** 2)
     typical = np.median(np.abs(tau)) + 1e-9
-    slack = 1.0 + (tau / typical) ** 2
+    slack = 1.0 + steering.at_twists * (tau / typical) ** 2
     axis = np.empty((cells, 3))
     share = np.empty(cells)  # how much of its surroundings' steering a cell takes on
     for i in range(cells):
@@ -87,7 +106,7 @@ def steer_strand(kappa: NDArray[np.float64], tau: NDArray[np.float64], step: flo
     frame = np.eye(3)
     local = np.empty(3)
     here = np.empty(3)
-    rate = step / (RETURN_TURNS * turn)
+    rate = step / (steering.return_turns * turn)
     for i in range(cells):
         # How the axis lies to the frame does not change with what was steered before.
         for k in range(3):
@@ -98,8 +117,8 @@ def steer_strand(kappa: NDArray[np.float64], tau: NDArray[np.float64], step: flo
         ay = here[2] * goal[0] - here[0] * goal[2]
         az = here[0] * goal[1] - here[1] * goal[0]
         tilt = np.sqrt(ax * ax + ay * ay + az * az)
-        if tilt > FREE_TILT:
-            part = min(rate * share[i], MOST_TURNED) * (1.0 - FREE_TILT / tilt) / step
+        if tilt > steering.free_tilt:
+            part = min(rate * share[i], MOST_TURNED) * (1.0 - steering.free_tilt / tilt) / step
             bend = kappa[i] + part * (ax * frame[2, 0] + ay * frame[2, 1] + az * frame[2, 2])
             kappa[i] = max(bend, 0.0)
             tau[i] += part * (ax * frame[0, 0] + ay * frame[0, 1] + az * frame[0, 2])
@@ -107,14 +126,14 @@ def steer_strand(kappa: NDArray[np.float64], tau: NDArray[np.float64], step: flo
 
 
 @parallel_kernel
-def steer_strands(signals: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+def steer_strands(signals: NDArray[np.float64], turn: float, steering: Steering) -> NDArray[np.float64]:
     """Signals (B, L, 3) of kappa, tau, v with straighter axes; ``turn``: arc length of a turn [cm]."""
     out = signals.copy()
     cells = signals.shape[1]
     for b in prange(signals.shape[0]):
         kappa = signals[b, :, 0].copy()
         tau = signals[b, :, 1].copy()
-        steer_strand(kappa, tau, signals[b, :, 2].mean() / cells, turn)
+        steer_strand(kappa, tau, signals[b, :, 2].mean() / cells, turn, steering)
         out[b, :, 0] = kappa
         out[b, :, 1] = tau
     return out
