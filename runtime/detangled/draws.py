@@ -13,8 +13,8 @@ from detangled.generation import generate
 from detangled.geometry.winding import winding
 from detangled.groom import Groom
 from detangled.labeling import label
-from detangled.settling import BY_EXTENT, BY_LABELS, Settling, sizes_read
-from detangled.texture import trust_in_winding
+from detangled.settling import BY_EXTENT, BY_LABELS, Settling, read
+from detangled.texture import FEW_TWISTS
 
 DRAWN, LENGTHS = 48, (8.0, 40.0)  # how many, and how long they are [cm]
 SEED, ROUNDS = 1 << 30, 2
@@ -33,26 +33,25 @@ class Numbers(NamedTuple):
     twist: float
 
     def sizes(self, twist: float) -> NDArray[np.float64]:
-        """Radius and wavelength of hair of this prevalence of twists: by winding as far as that is to be trusted."""
-        trust = trust_in_winding(twist)
-        parts = [share * np.log(sizes) for share, sizes in ((trust, self.wound), (1.0 - trust, self.labelled)) if share]
-        return np.exp(np.sum(parts, axis=0))
-
-
-def numbers_drawn(texture: Texture) -> Numbers:
-    """What strands drawn of a texture are like."""
-    return _numbers(_drawn(texture))
+        """Radius and wavelength of hair of this prevalence of twists."""
+        return self.wound if twist <= FEW_TWISTS else self.labelled
 
 
 def _drawn(texture: Texture, seed: int = SEED) -> Groom:
     return generate(texture, DRAWN, np.linspace(*LENGTHS, DRAWN), seed)
 
 
-def _numbers(strands: Groom) -> Numbers:
+def numbers_drawn(texture: Texture) -> Numbers:
+    """What strands drawn of a texture are like."""
+    strands = _drawn(texture)
     labels = label(strands)
-    wound = [_middle(values) for values in winding(strands.points, strands.offsets)]
     labelled = [_middle(values) for values in (labels.radius, labels.wavelength)]
-    return Numbers(np.array(wound), np.array(labelled), _middle(labels.twist, least=0.0))
+    return Numbers(_wound(strands), np.array(labelled), _middle(labels.twist, least=0.0))
+
+
+def _wound(strands: Groom) -> NDArray[np.float64]:
+    """Median radius and wavelength [cm] by winding, (2,)."""
+    return np.array([_middle(values) for values in winding(strands.points, strands.offsets)])
 
 
 def settled(texture: AnyTexture, radius: float, wavelength: float, twist: float) -> AnyTexture:
@@ -60,17 +59,16 @@ def settled(texture: AnyTexture, radius: float, wavelength: float, twist: float)
 
     Where most of its strands cannot be read they are left as they are drawn.
     """
-    by = BY_EXTENT if trust_in_winding(twist) > 0.5 else BY_LABELS
+    if twist > FEW_TWISTS:
+        return replace(texture, settling=Settling(BY_LABELS, radius, wavelength, twist))
     for seed in range(SEED, SEED + ROUNDS):
         strands = _drawn(texture, seed)
-        found = _numbers(strands)
-        read = found.labelled
-        if by == BY_EXTENT:
-            read = np.array([_middle(values) for values in sizes_read(strands, by).T])
-        wanted = read * np.array([radius, wavelength]) / found.sizes(twist)
+        extents = np.array([_middle(values) for values in read(strands, BY_EXTENT)[0].T])
+        # What a strand extends is a little more than winding says.
+        wanted = extents * np.array([radius, wavelength]) / _wound(strands)
         if not np.isfinite(wanted).all():
             break
-        texture = replace(texture, settling=Settling(by, *wanted.tolist()))
+        texture = replace(texture, settling=Settling(BY_EXTENT, *wanted.tolist()))
     return texture
 
 

@@ -11,17 +11,17 @@ from scipy.spatial.transform import Rotation
 
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
+from detangled.drawing import ToDraw, draw_strands
 from detangled.engines import engine_of
 from detangled.errors import TextureError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.density import MOST_STRANDS
-from detangled.grooming.lengths import Length, canonical_strands, resized
+from detangled.grooming.lengths import Length, resized
 from detangled.grooming.placing import cut, resample
 from detangled.retexturing import DROPPED_TURNS, arcs_to_make, drawn_arcs, turns_about_axis
 from detangled.settling import MOST_RESIZED
-from detangled.synthesis import synthesise
 
 CHUNK = 512  # strands made at once
 LENGTHS = (0.1, 2000.0)  # [cm]
@@ -51,17 +51,15 @@ def generate(
     lengths = np.array(np.broadcast_to(given, (count,)))
     spare = SPARE if texture.settling is None else SPARE * MOST_RESIZED
     arcs, short = arcs_to_make(texture, lengths * spare, Length.STRAND)
-    read = drawn_arcs(texture, lengths, Length.STRAND)
+    kept = drawn_arcs(texture, lengths, Length.STRAND)
     engine = engine_of(texture)
     strands: list[NDArray[np.float64]] = []
     for first in range(0, count, CHUNK):
         part = slice(first, min(first + CHUNK, count))
         names = np.arange(part.start, part.stop)
-        values, starts = synthesise(texture, arcs[part], names, seed, steps, progress, engine)
-        dropped = np.where(short[part], DROPPED_TURNS * texture.turn, 0.0)
-        fine, offsets = canonical_strands(values, starts, short[part] & texture.stiff, dropped, texture.wave_turn)
-        if texture.settling is not None:
-            fine = resized(fine, offsets, texture.settling.sizes(fine, offsets, read[part]))
+        what = ToDraw(arcs[part], kept[part], names, short[part], DROPPED_TURNS * texture.turn)
+        drawn = draw_strands(texture, what, seed, steps, progress, engine)
+        fine, offsets = resized(drawn.points, drawn.offsets, drawn.sizes), drawn.offsets
         if texture.shape is not None:
             fine = texture.shape.given_to(fine, offsets, lengths[part], False)
         fine, offsets = cut(fine, offsets, arc_positions(fine, offsets), lengths[part])

@@ -14,6 +14,7 @@ from numpy.typing import NDArray
 
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
+from detangled.drawing import ToDraw, draw_strands
 from detangled.engines import engine_of
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
@@ -22,10 +23,9 @@ from detangled.grooming.guide_density import guides_for
 from detangled.grooming.guides import resampled_attributes, style_guides
 from detangled.grooming.interpenetration import OnPenetration
 from detangled.grooming.keeping_out import Keeper, Penetration
-from detangled.grooming.lengths import Length, Seats, canonical_of, strands_on_guides
+from detangled.grooming.lengths import Length, Seats, strands_on_guides
 from detangled.grooming.placing import resample
 from detangled.head import Head
-from detangled.synthesis import synthesise
 from detangled.usable import check_usable
 
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
@@ -105,7 +105,7 @@ def retexture(
     if options.length is Length.STRAND:
         goals = arc_lengths(guides.groom.points, guides.groom.offsets)
     arcs, short = arcs_to_make(texture, goals, options.length)
-    read = drawn_arcs(texture, goals, options.length)
+    kept = drawn_arcs(texture, goals, options.length)
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
         roots=guides.canonical()[guides.groom.offsets[:-1]],
@@ -130,12 +130,11 @@ def retexture(
     for first in range(0, len(order), CHUNK):
         members = np.sort(order[first : first + CHUNK])
         names = guides.kept[members]
-        values, starts = synthesise(texture, arcs[members], names, options.seed, options.steps, progress, engine)
-        here = seats.select(members)
-        drawn = canonical_of(values, starts, here)
-        if texture.settling is not None:
-            here = replace(here, sizes=texture.settling.sizes(*drawn, read[members]))
-        made = strands_on_guides(values, starts, drawn, here, options.length)
+        what = ToDraw(arcs[members], kept[members], names, short[members], seats.dropped)
+        drawn = draw_strands(texture, what, options.seed, options.steps, progress, engine)
+        here = replace(seats.select(members), sizes=drawn.sizes)
+        signals, canonical = (drawn.values, drawn.starts), (drawn.points, drawn.offsets)
+        made = strands_on_guides(*signals, canonical, here, options.length)
         reached[members] = made.reached
         needed = _points_needed(texture, made.points, made.offsets)
         counts = np.maximum(needed, guides.groom.point_counts[members])

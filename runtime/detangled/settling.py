@@ -16,55 +16,72 @@ from numpy.typing import NDArray
 
 from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.groom import Groom, offsets_of
+from detangled.grooming.lengths import resized
 from detangled.grooming.placing import cut, resample
 from detangled.labeling import Reading, label
 from detangled.texture import arc_of_a_turn
 
 BY_LABELS, BY_EXTENT = "labels", "extent"
-MOST_RESIZED = 1.2  # one strand, beside the others of its texture; so much more hair is drawn, to cut from
+ROUNDS = 2  # of resizing: a strand made larger is cut earlier
+MOST_RESIZED = 1.4  # one strand, beside the others of its texture; so much more hair is drawn, to cut from
 # Of strands that are read, about as they will be written: reading what is drawn, finer still, takes minutes.
 POINTS_PER_TURN, FEWEST_POINTS = 32.0, 64
 
 
 @dataclass(frozen=True)
 class Settling:
-    """What is to be read in each strand, BY_LABELS or BY_EXTENT: radius and wavelength [cm].
+    """What is to be read in each strand, BY_LABELS or BY_EXTENT: radius and wavelength [cm], and twists (T_f).
 
-    Raises ValueError where they are not finite, or not positive, or ``by`` is another.
+    twist: None where it does not matter. Raises ValueError where sizes are not finite, or not positive, where the
+    twist is no number, or ``by`` is another.
     """
 
     by: str
     radius: float
     wavelength: float
+    twist: float | None = None
 
     def __post_init__(self) -> None:
         if self.by not in (BY_LABELS, BY_EXTENT) or not (0.0 < self.radius < np.inf and 0.0 < self.wavelength < np.inf):
             raise ValueError(f"nothing to settle strands to: {self}")
+        if self.twist is not None and not 0.0 <= self.twist <= 1.0:
+            raise ValueError(f"no twist prevalence to settle strands to: {self}")
 
-    def sizes(
+    def settle(
         self, points: NDArray[np.float64], offsets: NDArray[np.int64], lengths: NDArray[np.float64]
-    ) -> NDArray[np.float64]:
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
         """Factors (S, 2) of radius and wavelength for canonical strands (P, 3) by offsets (S + 1,); 1 if not read.
 
-        lengths: (S,) [cm], the arcs from their roots that will be kept of them, and are read. Raises ModelError where
-        the labelers are missing or damaged.
+        And how often they twist, (S,), NaN if not read. lengths: (S,) [cm], the arcs from their roots that will be kept
+        of them, and are read. Raises ModelError where the labelers are missing or damaged.
         """
-        kept, bounds = cut(points, offsets, arc_positions(points, offsets), lengths)
-        turns = arc_lengths(kept, bounds) / float(arc_of_a_turn(self.radius, self.wavelength))
-        enough = offsets_of(np.clip(np.ceil(POINTS_PER_TURN * turns).astype(np.int64), FEWEST_POINTS, np.diff(bounds)))
-        found = sizes_read(Groom(resample(kept, bounds, enough), enough), self.by)
         wanted = np.array([self.radius, self.wavelength])
-        sizes = np.clip(wanted / np.maximum(found, 1e-3), 1.0 / MOST_RESIZED, MOST_RESIZED)
-        return np.where(np.isfinite(sizes).all(axis=1, keepdims=True), sizes, 1.0)
+        sizes, twists = np.ones((len(offsets) - 1, 2)), np.full(len(offsets) - 1, np.nan)
+        for _ in range(ROUNDS):
+            now = resized(points, offsets, sizes)
+            found, twists = self._read(*cut(now, offsets, arc_positions(now, offsets), lengths))
+            better = np.clip(sizes * wanted / np.maximum(found, 1e-3), 1.0 / MOST_RESIZED, MOST_RESIZED)
+            sizes = np.where(np.isfinite(better).all(axis=1, keepdims=True), better, sizes)
+        return sizes, twists
+
+    def _read(
+        self, points: NDArray[np.float64], offsets: NDArray[np.int64]
+    ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+        """What canonical strands read, of about as many points as will be written."""
+        turns = arc_lengths(points, offsets) / float(arc_of_a_turn(self.radius, self.wavelength))
+        counts = np.ceil(POINTS_PER_TURN * turns).astype(np.int64)
+        enough = offsets_of(np.clip(counts, FEWEST_POINTS, np.diff(offsets)))
+        return read(Groom(resample(points, offsets, enough), enough), self.by)
 
 
-def sizes_read(strands: Groom, by: str) -> NDArray[np.float64]:
-    """Radius and wavelength (S, 2) [cm] of canonical strands; NaN where they cannot be read."""
-    if by == BY_LABELS:
-        labels = label(strands)
-        read = labels.reading == Reading.READ
-        return np.where(read[:, None], np.stack([labels.radius, labels.wavelength], axis=1), np.nan)
-    return _extents(strands.points, strands.offsets)
+def read(strands: Groom, by: str) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
+    """Radius and wavelength (S, 2) [cm] of canonical strands, and twists (S,) [T_f]; NaN where they cannot be read."""
+    if by == BY_EXTENT:
+        return _extents(strands.points, strands.offsets), np.full(strands.strand_count, np.nan)
+    labels = label(strands)
+    found = np.stack([labels.radius, labels.wavelength, labels.twist], axis=1)
+    found[labels.reading != Reading.READ] = np.nan
+    return found[:, :2], found[:, 2]
 
 
 def _extents(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:

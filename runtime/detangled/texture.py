@@ -29,7 +29,7 @@ AXIS_RATIO_LIMITS = (0.55, 1.0)
 RADIUS_LIMITS = (0.05, 3.0)  # [cm]
 WAVELENGTH_LIMITS = (0.15, 60.0)  # [cm]
 SHARE_LIMITS = (0.0, 1.0)  # twist prevalence, porosity
-FEW_TWISTS = (0.15, 0.25)  # prevalences: up to the one winding is believed, from the other on it is not
+FEW_TWISTS = 0.2  # prevalence up to which winding tells radius and wavelength: twists wind too
 LENGTH_LIMITS = (2.0, 100.0)  # [cm], of sampled strands
 
 # The eight types say nothing of these: values in the middle of what hair has.
@@ -87,11 +87,6 @@ def _check(name: str, value: float, limits: tuple[float, float], unit: str) -> N
 def arc_of_a_turn(radius: ArrayLike, wavelength: ArrayLike) -> NDArray[np.float64]:
     """Arc length [cm] of one turn of a helix of these radii and wavelengths [cm]; arrays broadcast."""
     return np.hypot(2.0 * np.pi * np.asarray(radius, dtype=np.float64), wavelength)
-
-
-def trust_in_winding(twist: float) -> float:
-    """How far winding tells radius and wavelength of hair of this twist prevalence, 0 to 1: twists wind too."""
-    return float(np.interp(twist, FEW_TWISTS, (1.0, 0.0)))
 
 
 @dataclass(frozen=True)
