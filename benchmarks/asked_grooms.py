@@ -5,9 +5,10 @@ python benchmarks/asked_grooms.py [FOLDER] [--method library] [--every eve=20,bo
 eve, bob and combover (every so many of their strands) each take type 4B, type 3A, and a radius that falls from 6 mm at
 the root to 2 mm at the tip; each is written to FOLDER (or a temporary one) and read again. Printed are how far roots
 moved, the worst length along the guide, the median distance of new guides from the input's in radii, and how far the
-median radius and wavelength of strands of six turns or more are off those asked for: about their own axis by winding,
-and by the labelers of benchmarks/judge, which had no part in the making. Of the profile the radius of each third of a
-strand is told by winding; winding finds wider coils where there are many twists. The grooms are looked for in
+median radius and wavelength of strands of six turns or more are off those asked for: by winding about the guide that
+they were put on, and about their own axis, found anew, which follows curls of few turns a little; and by the labelers of
+benchmarks/judge, which had no part in the making. Of the profile the radius of each third of a strand is told by
+winding; winding finds wider coils where there are many twists. The grooms are looked for in
 DETANGLED_GROOMS, else in shared/grooms beside the repository. Exits 1 where a bound fails.
 """
 
@@ -88,10 +89,15 @@ def judge(title: str, new: Groom, groom: Groom, what: Asked) -> bool:
         some = new.select(long)
         own = measures.own_axis(some)
         labels = detangled.label(some, model=load_labeler(LABELER, measures.JUDGE))
-        told = {"winding": winding(own.points, own.offsets), "judge": (labels.radius, labels.wavelength)}
+        given = measures.given_axis(some, guides.select(np.flatnonzero(long)))
+        told = {
+            "winding about the guide": winding(given.points, given.offsets),
+            "winding about the own axis": winding(own.points, own.offsets),
+            "judge": (labels.radius, labels.wavelength),
+        }
         for by, sizes in told.items():
             errors = [float(np.nanmedian(s)) / want - 1.0 for s, want in zip(sizes, (radius, wavelength), strict=True)]
-            counts = what.radius.constant and (by == "winding") == (what.twist <= BY_WINDING)
+            counts = what.radius.constant and by == ("winding about the guide" if what.twist <= BY_WINDING else "judge")
             if counts:
                 ok &= max(map(abs, errors)) <= SIZE_BOUND
             print(f"  by {by}: radius {errors[0]:+.1%}, wavelength {errors[1]:+.1%}{' (judges)' if counts else ''}")
