@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -216,6 +217,11 @@ def test_strands_stand_apart_in_rows(coils: FittedTexture) -> None:
 def test_no_strands_or_no_length_are_refused(coils: FittedTexture, count: int, length: Any, words: str) -> None:
     with pytest.raises(TextureError, match=words):
         generate(coils, count, length)
+
+
+def test_a_texture_far_too_small_for_the_length_is_refused(coils: FittedTexture) -> None:
+    with pytest.raises(TextureError, match=r"hair of 20 cm would have 200,000 turns .* at most 10,000 are made"):
+        generate(replace(coils, turn=1e-4), 2, 20.0)
 
 
 # ---- from root to tip

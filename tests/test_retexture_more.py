@@ -189,6 +189,15 @@ def test_more_strands_than_are_made_are_refused_before_any_work(files: tuple[Pat
     assert not files[0].with_name("out.abc").exists()
 
 
+def test_a_target_in_far_too_small_a_unit_is_refused_at_once(files: tuple[Path, Path]) -> None:
+    done = run(files[0], "--target-unit", ".001mm")
+    assert done.exit_code == 3
+    *_, line = done.stderr.splitlines()
+    assert "hair of 5 cm would have" in line
+    assert "at most 10,000 are made: say the unit of the texture's strands (--target-unit" in line
+    assert not files[0].with_name("out.abc").exists()
+
+
 def test_a_preset_makes_a_file_that_its_engine_takes(files: tuple[Path, Path]) -> None:
     done = run(files[0], "--preset", "unreal")
     assert done.exit_code == 0, done.stderr

@@ -41,17 +41,17 @@ def generate(
     """``count`` new strands of arc length ``length`` [cm], one for all or (count,), as a groom whose z-axis points up.
 
     All wind downwards about the z-axis (``side_by_side``). The same seed gives the same strands, and more of them those
-    it gave before. progress: told how many strands were finished. Raises TextureError for no strands, or lengths below
-    0.1 cm or above 20 m.
+    it gave before. progress: told how many strands were finished. Raises TextureError for no strands, lengths below
+    0.1 cm or above 20 m, or more than ten thousand turns a strand.
     """
     given = np.asarray(length, dtype=np.float64)
     check_asked(count, given)
     if given.shape not in ((), (1,), (count,)):
         raise TextureError(f"generate at least one strand, with a length for each or one for all, not {given.shape}")
     lengths = np.array(np.broadcast_to(given, (count,)))
+    read = drawn_arcs(texture, lengths, Length.STRAND)
     spare = SPARE if texture.settling is None else SPARE * MOST_RESIZED
     arcs, short = arcs_to_make(texture, lengths * spare, Length.STRAND)
-    read = drawn_arcs(texture, lengths, Length.STRAND)
     engine = engine_of(texture)
     strands: list[NDArray[np.float64]] = []
     for first in range(0, count, CHUNK):

@@ -15,6 +15,7 @@ from numpy.typing import NDArray
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.engines import engine_of
+from detangled.errors import TextureError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
@@ -31,6 +32,7 @@ from detangled.usable import check_usable
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
 FEWEST_TURNS = 8.0
+MOST_TURNS = 10_000  # of a strand: 20 m of the tightest curls have about half as many, a wrong unit gives more
 CUT_MARGIN = 1.1
 DROPPED_TURNS = 1.5
 LENGTH_TOLERANCE = 1e-3
@@ -86,7 +88,8 @@ def retexture(
     Strand count, order, roots and attributes stay, but where the density is to change and for strands that are deleted
     since they enter the head; new strands come after the others. Strands without two distinct finite points pass
     through as they are. The same seed gives the same strands, whatever the number of threads. progress: told how many
-    strands were finished. Raises ReadError where no strand can be used, DetangledError where the density is none.
+    strands were finished. Raises ReadError where no strand can be used, DetangledError where the density is none,
+    TextureError where a strand would have more than ten thousand turns.
     """
     options = options or Options()
     check_usable(groom)
@@ -186,11 +189,21 @@ def arcs_to_make(
 
 
 def drawn_arcs(texture: Texture, goals: NDArray[np.float64], length: Length) -> NDArray[np.float64]:
-    """Arc lengths (S,) [cm] that strands of these lengths have as they are drawn: before they are given a shape."""
+    """Arc lengths (S,) [cm] that strands of these lengths have as they are drawn: before they are given a shape.
+
+    Raises TextureError where one would have more than MOST_TURNS turns.
+    """
     by_guide = length is Length.GUIDE
     arcs = goals * texture.arc_per_axis if by_guide else goals.copy()
     if texture.shape is not None:
         arcs *= texture.shape.drawn_depth if by_guide else texture.shape.drawn_arc
+    turns = float(arcs.max(initial=0.0)) / texture.turn
+    if turns > MOST_TURNS:
+        raise TextureError(
+            f"hair of {goals.max():.3g} cm would have {turns:,.0f} turns of this texture, {texture.turn:.2g} cm each, "
+            f"and at most {MOST_TURNS:,} are made: say the unit of the texture's strands (--target-unit, or --unit of "
+            "fit), or ask for shorter hair"
+        )
     return arcs
 
 
