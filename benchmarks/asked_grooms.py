@@ -6,8 +6,8 @@ eve, bob and combover (every so many of their strands) each take type 4B, type 3
 the root to 2 mm at the tip; each is written to FOLDER (or a temporary one) and read again. Printed are how far roots
 moved, the worst length along the guide, the median distance of new guides from the input's in radii, and how far the
 median radius and wavelength of strands of six turns or more are off those asked for: by winding about the guide that
-they were put on, and about their own axis, found anew, which follows curls of few turns a little; and by the labelers of
-benchmarks/judge, which had no part in the making. Of the profile the radius of each third of a strand is told by
+they were put on, and about their own axis found anew, which follows curls of few turns a little; and by the labelers
+of benchmarks/judge, which had no part in the making. Of the profile the radius of each third of a strand is told by
 winding; winding finds wider coils where there are many twists. The grooms are looked for in
 DETANGLED_GROOMS, else in shared/grooms beside the repository. Exits 1 where a bound fails.
 """

@@ -6,6 +6,7 @@ import hashlib
 import json
 import math
 import warnings
+from dataclasses import replace
 from itertools import pairwise
 from pathlib import Path
 from typing import Any
@@ -17,7 +18,7 @@ from numpy.typing import NDArray
 
 from detangled import draws
 from detangled.archives import read_arrays, write_arrays
-from detangled.errors import ModelError, TextureError
+from detangled.errors import DetangledError, ModelError, TextureError
 from detangled.fitted import FittedTexture, load_texture, save_texture
 from detangled.formats import read, write
 from detangled.from_numbers import Asked, asked, asked_texture
@@ -216,6 +217,16 @@ def test_strands_stand_apart_in_rows(coils: FittedTexture) -> None:
 def test_no_strands_or_no_length_are_refused(coils: FittedTexture, count: int, length: Any, words: str) -> None:
     with pytest.raises(TextureError, match=words):
         generate(coils, count, length)
+
+
+def test_more_points_than_are_made_are_refused(coils: FittedTexture) -> None:
+    with pytest.raises(DetangledError, match=r"4,000,000 strands would have \S+ points: .* lower --count or --length"):
+        generate(coils, 4_000_000, 100.0)
+
+
+def test_a_texture_far_too_small_for_the_length_is_refused(coils: FittedTexture) -> None:
+    with pytest.raises(TextureError, match=r"hair of 20 cm would have 200,000 turns .* at most 10,000 are made"):
+        generate(replace(coils, turn=1e-4), 2, 20.0)
 
 
 # ---- from root to tip

@@ -138,7 +138,7 @@ def test_what_cannot_be_drawn_is_left_out_and_counted() -> None:
     decoded = Decoded(made.text)
     assert sorted(decoded.strands(decoded.about["hairs"][0])) == [1, 4]
     assert len(decoded.strands(decoded.about["hairs"][0])[1]) == 3
-    assert made.notes == ("odd.abc: 4 strands are left out: not finite, or without length",)
+    assert made.notes == ("odd.abc: 4 strands are left out: not finite, without length, or too large",)
 
 
 def test_a_stray_strand_makes_points_coarse_and_that_is_said() -> None:
@@ -331,8 +331,9 @@ def test_one_strand_is_enough_and_none_is_not() -> None:
         Groom.from_strands([]),
         Groom.from_strands([[[1.0, 2, 3]]]),
         Groom.from_strands([np.full((4, 3), np.nan)]),
+        Groom.from_strands([[[0.0, 0, 0], [1e30, 0, 0]]]),
     ):
-        with pytest.raises(ReadError, match=r"bald\.abc has no strand"):
+        with pytest.raises(ReadError, match=r"bald\.abc has no strand of two .* within 10 km"):
             page([Shown(empty, "bald.abc")])
 
 

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 import json
+import re
 from dataclasses import replace
 from pathlib import Path
 
@@ -16,10 +17,11 @@ from PIL import Image
 from detangled import retexturing
 from detangled.base_texture import Texture
 from detangled.engines import Engine
+from detangled.errors import DetangledError
 from detangled.fitting import fit
 from detangled.formats import read, write
 from detangled.groom import Attribute, Groom, Scope
-from detangled.grooming import keeping_out
+from detangled.grooming import guide_density, keeping_out
 from detangled.grooming.density import density_change
 from detangled.grooming.guides import style_guides
 from detangled.grooming.interpenetration import OnPenetration
@@ -186,6 +188,35 @@ def test_more_strands_than_are_made_are_refused_before_any_work(files: tuple[Pat
     assert done.exit_code == 3
     (line,) = done.stderr.splitlines()
     assert "at most 4,000,000 are made" in line
+    assert not files[0].with_name("out.abc").exists()
+
+
+def test_more_points_than_are_made_are_refused_before_any_are(
+    hair: Groom, files: tuple[Path, Path], monkeypatch: pytest.MonkeyPatch
+) -> None:
+    with monkeypatch.context() as patched:
+        patched.setattr(guide_density, "resampled", None)
+        done = run(files[0], "--density", "90000", "--max-points", "1000000")
+    assert done.exit_code == 3
+    *_, line = done.stderr.splitlines()
+    words = r"3,600,000 strands would have \S+ points: at most 250,000,000 are made; lower --density or --max-points"
+    assert re.search(words, line)
+    coily = fit(read(COILY, unit="cm"))
+    made = retexture(hair, coily).groom
+    monkeypatch.setattr("detangled.grooming.density.MOST_POINTS", int(0.8 * len(made.points)))
+    for factor in (1.0, None):
+        with pytest.raises(DetangledError, match="lower --density or --max-points"):
+            retexture(hair, coily, Options(density=factor))
+    monkeypatch.setattr("detangled.grooming.density.MOST_POINTS", int(1.2 * len(made.points)))
+    assert len(retexture(hair, coily).groom.points) == len(made.points)
+
+
+def test_a_target_in_far_too_small_a_unit_is_refused_at_once(files: tuple[Path, Path]) -> None:
+    done = run(files[0], "--target-unit", ".001mm")
+    assert done.exit_code == 3
+    *_, line = done.stderr.splitlines()
+    assert "hair of 5 cm would have" in line
+    assert "at most 10,000 are made: say the unit of the texture's strands (--target-unit" in line
     assert not files[0].with_name("out.abc").exists()
 
 

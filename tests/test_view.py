@@ -207,9 +207,11 @@ def test_bad_strands_do_not_change_the_picture_of_the_rest() -> None:
     np.testing.assert_array_equal(render([Groom.from_strands([*strands, *bad])], (64, 64)).pixels, pixels)
 
 
-@pytest.mark.parametrize("strands", [[], [[[0, 0, 0]]], [[[np.nan] * 3] * 5], [[[1, 2, 3]] * 9]])
+@pytest.mark.parametrize(
+    "strands", [[], [[[0, 0, 0]]], [[[np.nan] * 3] * 5], [[[1, 2, 3]] * 9], [[[0, 0, 0], [1e30, 0, 0]]]]
+)
 def test_nothing_to_draw_is_a_read_error(strands: list) -> None:
-    with pytest.raises(ReadError, match=r"groom 2 has no strand"):
+    with pytest.raises(ReadError, match=r"groom 2 has no strand of two .* within 10 km"):
         render([tuft(2), Groom.from_strands(strands)], (64, 64))
 
 

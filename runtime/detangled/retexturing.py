@@ -10,17 +10,19 @@ from collections.abc import Callable
 from dataclasses import dataclass, field, replace
 
 import numpy as np
-from numpy.typing import NDArray
+from numpy.typing import ArrayLike, NDArray
 
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.drawing import ToDraw, draw_strands
 from detangled.engines import engine_of
+from detangled.errors import TextureError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
 from detangled.groom import Groom, offsets_of
+from detangled.grooming.density import check_points
 from detangled.grooming.guide_density import guides_for
-from detangled.grooming.guides import resampled_attributes, style_guides
+from detangled.grooming.guides import StyleGuides, resampled_attributes, style_guides
 from detangled.grooming.interpenetration import OnPenetration
 from detangled.grooming.keeping_out import Keeper, Penetration
 from detangled.grooming.lengths import Length, Seats, strands_on_guides
@@ -31,6 +33,7 @@ from detangled.usable import check_usable
 CHUNK = 512  # strands made at once: the memory that a groom needs beside its own points
 # A strand of fewer turns has no axis to find: it is made this long, and cut.
 FEWEST_TURNS = 8.0
+MOST_TURNS = 10_000  # of a strand: 20 m of the tightest curls have about half as many, a wrong unit gives more
 CUT_MARGIN = 1.1
 DROPPED_TURNS = 1.5
 LENGTH_TOLERANCE = 1e-3
@@ -86,24 +89,28 @@ def retexture(
     Strand count, order, roots and attributes stay, but where the density is to change and for strands that are deleted
     since they enter the head; new strands come after the others. Strands without two distinct finite points pass
     through as they are. The same seed gives the same strands, whatever the number of threads. progress: told how many
-    strands were finished. Raises ReadError where no strand can be used, DetangledError where the density is none.
+    strands were finished. Raises ReadError where no strand can be used, DetangledError where the density is none or
+    makes too many strands or points, TextureError where a strand would have more than ten thousand turns.
     """
     options = options or Options()
     check_usable(groom)
     guides = style_guides(groom)
+    goals = _goals(guides, options.length)
+    total = points_to_make(texture, goals, options.length, guides.groom.point_counts, options.max_points)
     keeper = None if options.head is None else Keeper(options.head, groom, texture, options.on_penetration)
     notes: list[str] = []
     lost_here: list[str] = []
     warned: list[str] = []
     if options.density != 1.0:
-        dense, said = guides_for(groom, guides, texture.radius, options.density, options.head, keeper, options.seed)
+        dense, said = guides_for(
+            groom, guides, texture.radius, options.density, options.head, keeper, options.seed, total
+        )
         groom, guides = dense.groom, dense.guides
         notes, lost_here, warned = [said], list(dense.lost), list(dense.notes)
-    elif keeper is not None:
-        guides = keeper.turned(guides)
-    goals = guides.lengths
-    if options.length is Length.STRAND:
-        goals = arc_lengths(guides.groom.points, guides.groom.offsets)
+    else:
+        check_points(len(guides.kept), total)
+        guides = guides if keeper is None else keeper.turned(guides)
+    goals = _goals(guides, options.length)
     arcs, short = arcs_to_make(texture, goals, options.length)
     kept = drawn_arcs(texture, goals, options.length)
     seats = Seats(
@@ -185,12 +192,39 @@ def arcs_to_make(
 
 
 def drawn_arcs(texture: Texture, goals: NDArray[np.float64], length: Length) -> NDArray[np.float64]:
-    """Arc lengths (S,) [cm] that strands of these lengths have as they are drawn: before they are given a shape."""
+    """Arc lengths (S,) [cm] that strands of these lengths have as they are drawn: before they are given a shape.
+
+    Raises TextureError where one would have more than MOST_TURNS turns.
+    """
     by_guide = length is Length.GUIDE
     arcs = goals * texture.arc_per_axis if by_guide else goals.copy()
     if texture.shape is not None:
         arcs *= texture.shape.drawn_depth if by_guide else texture.shape.drawn_arc
+    turns = float(arcs.max(initial=0.0)) / texture.turn
+    if turns > MOST_TURNS:
+        raise TextureError(
+            f"hair of {goals.max():.3g} cm would have {turns:,.0f} turns of this texture, {texture.turn:.2g} cm each, "
+            f"and at most {MOST_TURNS:,} are made: say the unit of the texture's strands (--target-unit, or --unit of "
+            "fit), or ask for shorter hair"
+        )
     return arcs
+
+
+def points_to_make(
+    texture: Texture,
+    goals: NDArray[np.float64],
+    length: Length,
+    fewest: ArrayLike = 2,
+    most: int | None = None,
+) -> float:
+    """About how many points all strands of these lengths (S,) [cm] will have, each from ``fewest`` to ``most``."""
+    needed = POINTS_PER_TURN * drawn_arcs(texture, goals, length) / texture.finest_turn + 1.0
+    return float(np.minimum(np.maximum(needed, fewest), most or np.inf).sum())
+
+
+def _goals(guides: StyleGuides, length: Length) -> NDArray[np.float64]:
+    """Lengths (S,) [cm] that new strands on these guides are to have."""
+    return guides.lengths if length is Length.GUIDE else arc_lengths(guides.groom.points, guides.groom.offsets)
 
 
 def _warnings(per_turn: NDArray[np.float64], reached: NDArray[np.float64], options: Options) -> list[str]:

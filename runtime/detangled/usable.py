@@ -12,10 +12,13 @@ from detangled.groom import Groom
 LEAST_EXTENT = 1e-6
 # No hair is longer than some metres: beyond this [cm] a coordinate is damaged, or the unit is wrong.
 GREATEST_EXTENT = 2e3
+# What is larger is drawn all the same, but nothing beyond ten kilometres [cm]: that is a broken file.
+FARTHEST = 1e6
 WHY_UNUSABLE = (
     "each has fewer than two distinct points, a coordinate that is not finite, or is longer than 20 m (is the unit "
     "right?)"
 )
+WHY_UNDRAWN = "no strand of two distinct points that are finite and within 10 km (is the unit right?)"
 
 
 def extents(groom: Groom) -> NDArray[np.float64]:

@@ -25,6 +25,7 @@ STRAIGHT_RADIUS = 0.01  # [cm] about a hair's width: nobody sees such a curl, an
 # Tightest of the eight types from the widest is 28 times denser; beyond this the radii are not what they seem.
 MOST_FACTOR = 32.0
 MOST_STRANDS = 4_000_000  # what an engine takes of one groom, and more than fits in most memories
+MOST_POINTS = 250_000_000  # of all strands: some 15 GB with all that is made of them
 
 
 @dataclass(frozen=True)
@@ -82,3 +83,11 @@ def checked_factor(factor: float, strands: int) -> float:
             f"{factor:g} times the density would be {factor * strands:.3g} strands: at most {MOST_STRANDS:,} are made"
         )
     return float(factor)
+
+
+def check_points(strands: float, points: float, options: str = "--density or --max-points") -> None:
+    """Raise DetangledError, which names the options to lower, where strands would have too many points in all."""
+    if points > MOST_POINTS:
+        raise DetangledError(
+            f"{strands:,.0f} strands would have {points:.3g} points: at most {MOST_POINTS:,} are made; lower {options}"
+        )

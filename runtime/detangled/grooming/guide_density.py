@@ -11,7 +11,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.groom import Groom
-from detangled.grooming.density import density_change
+from detangled.grooming.density import check_points, checked_factor, density_change
 from detangled.grooming.density_resampling import Resampled, resampled
 from detangled.grooming.guides import StyleGuides
 from detangled.grooming.keeping_out import Keeper
@@ -27,12 +27,14 @@ def guides_for(
     head: Head | None,
     keeper: Keeper | None,
     seed: int,
+    points: float,
 ) -> tuple[Resampled, str]:
     """A groom with guides for a texture of this radius [cm], and a sentence that says how many.
 
     factor: of the density; None for the square of the ratio of the groom's radius to the texture's. head: in the
     groom's frame. keeper: what turns guides out of it; those between others that lie deep in it are left out.
-    Raises DetangledError for a factor that is none.
+    points: that strands of the texture would have in all on the guides there are. Raises DetangledError for a factor
+    that is none, or makes too many strands or points.
     """
     scalp = scalp_of(guides.groom.points[guides.groom.offsets[:-1]])
     reason = "as asked"
@@ -41,6 +43,8 @@ def guides_for(
         change = density_change(guides, radius, scalp)
         factor, notes = change.factor, change.notes
         reason = f"radius {change.input_radius:.2g} cm to {change.target_radius:.2g} cm asks for {factor:.2f} times"
+    factor = checked_factor(factor, len(guides.kept))
+    check_points(factor * len(guides.kept), factor * max(points, len(guides.points)))
     # A turned guide is no longer its strand's own: radii are told before.
     if keeper is not None:
         guides = keeper.turned(guides)

@@ -9,10 +9,10 @@ from numpy.typing import NDArray
 
 from detangled.groom import Groom, offsets_of
 from detangled.kernels import kernel
+from detangled.usable import FARTHEST
 from detangled.view.camera import Camera
 from detangled.view.threads import spread
 
-FARTHEST_CM = 1e6  # a coordinate beyond ten kilometres is a broken file, not hair
 FLATNESS_PX = 0.15  # how far a drawn polyline may leave its curve [pixels of the picture]
 MOST_PIECES = 24  # of one segment, however near the camera
 
@@ -43,7 +43,7 @@ def drawable(groom: Groom, rotation: NDArray[np.float64], origin: NDArray[np.flo
     points = np.empty((len(groom.points), 3), dtype=np.float32)
     counts = np.empty(groom.strand_count, dtype=np.int64)
     box = np.array([[np.inf] * 3, [-np.inf] * 3])
-    total = _turn(groom.points, groom.offsets, np.ascontiguousarray(rotation), middle, FARTHEST_CM, points, counts, box)
+    total = _turn(groom.points, groom.offsets, np.ascontiguousarray(rotation), middle, FARTHEST, points, counts, box)
     ids = np.flatnonzero(counts)
     offsets = offsets_of(counts[ids])
     return Curves(points[:total], offsets, ids.astype(np.int64), box[0], box[1])

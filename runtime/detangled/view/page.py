@@ -23,7 +23,7 @@ from detangled.errors import DetangledError, ReadError, WriteError
 from detangled.formats import check_folder, replacing
 from detangled.groom import Groom
 from detangled.head import Head
-from detangled.usable import usable_strands
+from detangled.usable import WHY_UNDRAWN, usable_strands
 from detangled.view.camera import view_rotation
 from detangled.view.page_points import STEPS, Gridded, byte_planes, gridded, packed
 from detangled.view.page_thinning import MOST_POINTS, thinned
@@ -133,11 +133,11 @@ def _hair(shown: Shown, most_points: int, streams: list[NDArray[Any]]) -> dict[s
     thin, kept, notes = thinned(bare, most_points)
     grid = gridded(thin.points, thin.offsets)
     if len(grid.ids) == 0:
-        raise ReadError(f"{shown.name} has no strand of two distinct finite points, so there is nothing to show")
+        raise ReadError(f"{shown.name} has {WHY_UNDRAWN}, so there is nothing to show")
     broken = thin.strand_count - len(grid.ids) if thin is bare else int(np.sum(~usable_strands(bare)))
     if broken:
         were = "strand is" if broken == 1 else "strands are"
-        notes.append(f"{broken:,} {were} left out: not finite, or without length")
+        notes.append(f"{broken:,} {were} left out: not finite, without length, or too large")
     if grid.step > COARSE_STEP_CM:
         span = grid.step * STEPS
         notes.append(f"its strands lie up to {span:,.0f} cm apart, so points are shown to {grid.step:.2g} cm only")

@@ -18,9 +18,9 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.groom import offsets_of
+from detangled.usable import FARTHEST
 
 STEPS = 65535  # of the grid along the box's longest side
-FARTHEST_CM = 1e6  # a coordinate beyond ten kilometres is a broken file, not hair
 PLANES = 6
 LEVEL = 6  # of deflate: 9 takes three times as long for less than one in a hundred
 
@@ -52,7 +52,7 @@ def gridded(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> Gridded:
     two points then.
     """
     strand = np.repeat(np.arange(len(offsets) - 1), np.diff(offsets))
-    good = (np.abs(points) < FARTHEST_CM).all(axis=1)  # false for NaN
+    good = (np.abs(points) < FARTHEST).all(axis=1)  # false for NaN
     if not good.all():
         points, strand = points[good], strand[good]
     if len(points) == 0:

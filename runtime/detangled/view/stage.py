@@ -12,6 +12,7 @@ from detangled.errors import DetangledError, ReadError
 from detangled.groom import Groom
 from detangled.grooming.head_fit import misfit
 from detangled.head import Head
+from detangled.usable import WHY_UNDRAWN
 from detangled.view.camera import Camera, frame, upright
 from detangled.view.curves import Curves, drawable
 from detangled.view.framing import Box, framed_points, hair_box, head_near, pivots
@@ -112,7 +113,7 @@ def set_up(
         name = names[number - 1] if names else f"groom {number}"
         box = hair_box(groom)
         if box is None:
-            raise ReadError(f"{name} has no strand of two distinct finite points, so there is nothing to draw")
+            raise ReadError(f"{name} has {WHY_UNDRAWN}, so there is nothing to draw")
         if len(box.strays):
             notes.append(
                 f"{name}: {len(box.strays)} strands reach far beyond the others; the picture is framed without them"
