@@ -11,6 +11,7 @@ import trimesh
 
 from detangled.errors import DetangledError
 from detangled.formats.meshes import read_head
+from detangled.geometry.triangles import distance2_to_triangle
 from detangled.grooming.head_distance import HeadDistance, exact_distances, head_distance
 from detangled.grooming.head_inside import winding_numbers, winding_tree
 from detangled.head import Head
@@ -165,3 +166,13 @@ def test_a_real_head(grooms: Callable[[str], Path]) -> None:
     error = np.abs(field.at(points) - exact_distances(winding_tree(head), points))
     assert error.mean() < 2e-3
     assert error.max() < 0.03
+
+
+def test_a_triangle_without_area_is_as_far_as_its_longest_side() -> None:
+    rng = np.random.default_rng(6)
+    for _ in range(2000):
+        a, b, point = rng.normal(size=(3, 3))
+        corners = rng.permutation([a, b, a + rng.random() * (b - a)])
+        along = np.clip((point - a) @ (b - a) / ((b - a) @ (b - a)), 0.0, 1.0)
+        exact = np.linalg.norm(a + along * (b - a) - point)
+        assert np.sqrt(distance2_to_triangle(*point, corners.ravel())) == pytest.approx(exact, abs=1e-9)

@@ -69,6 +69,11 @@ def kernel(function: Any) -> Any:
     return numba.njit(function, cache=True, error_model="numpy", nogil=True)
 
 
+def inlined_kernel(function: Any) -> Any:
+    """Like ``kernel``, but put into its callers whole: what one of them drops of several results costs it nothing."""
+    return numba.njit(function, error_model="numpy", nogil=True, inline="always")
+
+
 def vector_kernel(function: Any) -> Any:
     """Compile a function of finite numbers like ``kernel``, free to reorder sums for vector instructions."""
     return numba.njit(function, cache=True, error_model="numpy", nogil=True, fastmath=True)

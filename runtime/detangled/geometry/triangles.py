@@ -1,18 +1,22 @@
-"""Triangles of a mesh: the distance of a point from one, and the solid angle under which it is seen."""
+"""Triangles of a mesh: the nearest point of one, and the solid angle under which it is seen."""
 
 from __future__ import annotations
 
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.kernels import kernel
+from detangled.kernels import inlined_kernel, kernel
+
+# Of a triangle flatter than this (squared sine of a corner's angle) the plane is lost in rounding: it is its sides.
+FLAT = 1e-12
 
 
-@kernel
-def distance2_to_triangle(x: float, y: float, z: float, corners: NDArray[np.float64]) -> float:
-    """Squared distance of a point from a triangle (9,), its corners one after another; of no area it may be too.
+@inlined_kernel
+def nearest_on_triangle(x: float, y: float, z: float, corners: NDArray[np.float64]) -> tuple[float, float, float]:
+    """Squared distance of a point from a triangle, and the weights of its second and third corner in the nearest place.
 
-    By the region of the plane that the point lies over (Ericson 2005, "Real-Time Collision Detection", 5.1.5).
+    corners: (9,), one after another; of no area they may be too. By the region of the plane that the point lies over
+    (Ericson 2005, "Real-Time Collision Detection", 5.1.5).
     """
     ax, ay, az = corners[0], corners[1], corners[2]
     ux, uy, uz = corners[3] - ax, corners[4] - ay, corners[5] - az
@@ -26,24 +30,35 @@ def distance2_to_triangle(x: float, y: float, z: float, corners: NDArray[np.floa
     area = uu * vv - uv * uv
     s = vv * pu - uv * pv
     t = uu * pv - uv * pu
-    if s >= 0.0 and t >= 0.0 and s + t <= area and area > 0.0:
+    if s >= 0.0 and t >= 0.0 and s + t <= area and area > FLAT * uu * vv:
         s /= area
         t /= area
         dx, dy, dz = px - s * ux - t * vx, py - s * uy - t * vy, pz - s * uz - t * vz
-        return dx * dx + dy * dy + dz * dz
+        return dx * dx + dy * dy + dz * dz, s, t
     # Outside of all three edges the nearest point is on one of them.
     s = min(max(pu / uu, 0.0), 1.0) if uu > 0.0 else 0.0
     dx, dy, dz = px - s * ux, py - s * uy, pz - s * uz
-    best = dx * dx + dy * dy + dz * dz
+    on_u = dx * dx + dy * dy + dz * dz
     t = min(max(pv / vv, 0.0), 1.0) if vv > 0.0 else 0.0
     dx, dy, dz = px - t * vx, py - t * vy, pz - t * vz
-    best = min(best, dx * dx + dy * dy + dz * dz)
+    on_v = dx * dx + dy * dy + dz * dz
     wx, wy, wz = vx - ux, vy - uy, vz - uz
     ww = wx * wx + wy * wy + wz * wz
     qx, qy, qz = px - ux, py - uy, pz - uz
-    s = min(max((qx * wx + qy * wy + qz * wz) / ww, 0.0), 1.0) if ww > 0.0 else 0.0
-    dx, dy, dz = qx - s * wx, qy - s * wy, qz - s * wz
-    return min(best, dx * dx + dy * dy + dz * dz)
+    r = min(max((qx * wx + qy * wy + qz * wz) / ww, 0.0), 1.0) if ww > 0.0 else 0.0
+    dx, dy, dz = qx - r * wx, qy - r * wy, qz - r * wz
+    best = min(min(on_u, on_v), dx * dx + dy * dy + dz * dz)
+    if best == on_u:
+        return best, s, 0.0
+    if best == on_v:
+        return best, 0.0, t
+    return best, 1.0 - r, r
+
+
+@kernel
+def distance2_to_triangle(x: float, y: float, z: float, corners: NDArray[np.float64]) -> float:
+    """Squared distance of a point from a triangle (9,)."""
+    return nearest_on_triangle(x, y, z, corners)[0]
 
 
 @kernel
