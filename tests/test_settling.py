@@ -66,6 +66,14 @@ def test_only_what_is_kept_of_a_strand_is_read() -> None:
     np.testing.assert_allclose(sizes, 1.0, rtol=0.03)
 
 
+def test_what_is_read_of_a_strand_depends_on_no_others() -> None:
+    rng = np.random.default_rng(0)
+    for _ in range(100):
+        strands = [np.cumsum(rng.normal(size=(count, 3)), axis=0) for count in rng.integers(64, 700, 6)]
+        whole, part = (read(Groom.from_strands(some), BY_EXTENT)[0] for some in (strands, strands[:3]))
+        np.testing.assert_array_equal(whole[:3], part)
+
+
 def test_a_strand_without_curl_is_left_as_it_is() -> None:
     straight = np.stack([np.zeros(50), np.zeros(50), -np.linspace(0.0, 20.0, 50)], axis=1)
     sizes, _ = Settling(BY_LABELS, 0.3, 1.0).settle(straight, np.array([0, 50]), np.array([20.0]))

@@ -18,6 +18,7 @@ from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.lengths import resized
 from detangled.grooming.placing import cut, resample
+from detangled.kernels import parallel_kernel, prange
 from detangled.labeling import Reading, label
 from detangled.texture import arc_of_a_turn
 
@@ -84,21 +85,28 @@ def read(strands: Groom, by: str) -> tuple[NDArray[np.float64], NDArray[np.float
     return found[:, :2], found[:, 2]
 
 
+@parallel_kernel
 def _extents(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
     """Radius and wavelength (S, 2) [cm] of canonical strands by second moments about their axis; NaN if on it.
 
     Of a helix, whatever hand it has where, both are its own.
     """
-    edges, middles = np.diff(points, axis=0), 0.5 * (points[1:] + points[:-1])
-    steps = np.maximum(np.linalg.norm(edges, axis=1), 1e-12)
-    within = np.ones(len(edges))
-    within[offsets[1:-1] - 1] = 0.0  # from one strand to the next
-    arc, away, around = (
-        np.add.reduceat(within * values, offsets[:-1])
-        for values in (steps, steps * (middles[:, :2] ** 2).sum(axis=1), (edges[:, :2] ** 2).sum(axis=1) / steps)
-    )
-    fall = np.abs(points[offsets[1:] - 1, 2] - points[offsets[:-1], 2])
-    with np.errstate(divide="ignore", invalid="ignore"):
-        turn = 2.0 * np.pi * np.sqrt(away / around)
-        sizes = np.stack([np.sqrt(away / arc), turn * fall / arc], axis=1)
-    return np.where((sizes > 0.0).all(axis=1, keepdims=True), sizes, np.nan)
+    out = np.full((offsets.shape[0] - 1, 2), np.nan)
+    for s in prange(offsets.shape[0] - 1):
+        first, last = offsets[s], offsets[s + 1] - 1
+        arc = 0.0
+        away = 0.0  # squares of the distance, over the arc
+        around = 0.0  # squares of the tangent's part across the axis
+        for i in range(first, last):
+            x, y, z = points[i + 1] - points[i]
+            step = np.sqrt(x * x + y * y + z * z)
+            if step > 0.0:
+                middle_x, middle_y = 0.5 * (points[i, 0] + points[i + 1, 0]), 0.5 * (points[i, 1] + points[i + 1, 1])
+                arc += step
+                away += step * (middle_x * middle_x + middle_y * middle_y)
+                around += (x * x + y * y) / step
+        fall = abs(points[last, 2] - points[first, 2])
+        if away > 0.0 and around > 0.0 and fall > 0.0:
+            out[s, 0] = np.sqrt(away / arc)
+            out[s, 1] = 2.0 * np.pi * np.sqrt(away / around) * fall / arc
+    return out
