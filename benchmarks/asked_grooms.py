@@ -4,12 +4,12 @@ python benchmarks/asked_grooms.py [FOLDER] [--method library] [--every eve=20,bo
 
 eve, bob and combover (every so many of their strands) each take type 4B, type 3A, and a radius that falls from 6 mm at
 the root to 2 mm at the tip; each is written to FOLDER (or a temporary one) and read again. Printed are how far roots
-moved, the worst length along the guide, the median distance of new guides from the input's in radii, and how far the
-median radius and wavelength of strands of six turns or more are off those asked for: by winding about the guide that
-they were put on, and about their own axis found anew, which follows curls of few turns a little; and by the labelers
-of benchmarks/judge, which had no part in the making. Of the profile the radius of each third of a strand is told by
-winding; winding finds wider coils where there are many twists. The grooms are looked for in
-DETANGLED_GROOMS, else in shared/grooms beside the repository. Exits 1 where a bound fails.
+moved, the worst length along the guide, the median distance of new guides from the input's in mean radii, and how far
+the median radius and wavelength of strands of six turns or more are off those asked for: by winding about the guide
+that they were put on, and about their own axis found anew, which follows curls of few turns a little; and by the
+labelers of benchmarks/judge, which had no part in the making. Of the profile the radius of each third of a strand is
+told by winding; winding finds wider coils where there are many twists. The grooms are looked for in DETANGLED_GROOMS,
+else in shared/grooms beside the repository. Exits 1 where a bound fails.
 """
 
 from __future__ import annotations
@@ -78,7 +78,7 @@ def judge(title: str, new: Groom, groom: Groom, what: Asked) -> bool:
     moved = np.linalg.norm(new.points[new.offsets[:-1]] - groom.points[groom.offsets[:-1]], axis=1).max()
     off = float(np.abs(measures.guide_length_errors(new, guides)).max())
     radius, wavelength = (float(np.exp(np.log(p.values).mean())) for p in (what.radius, what.wavelength))
-    away = float(np.median(measures.distances(style_guides(new).as_groom(), guides))) / radius
+    away = float(np.median(measures.distances(style_guides(new).as_groom(), guides)) / np.mean(what.radius.values))
     long = found.lengths >= FEWEST_TURNS * wavelength
     print(
         f"{title}: {new.strand_count} strands, roots moved {moved:.1g} cm, length off {off:.2%}, "

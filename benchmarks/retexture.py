@@ -1,7 +1,7 @@
 """How good retextured grooms are: a few strands' texture on four real grooms, measured on the files written.
 
 python benchmarks/retexture.py [--method patches|finetune] [--jobs eve,bob,combover,straight] [--every N | --full]
-                               [--seed N] [--halvings N]
+                               [--seed N] [--halvings N] [--textures FOLDER]
 
 eve, bob and combover take the texture of coily_swatch.obj; straight is coily_swatch.obj with the texture of two long
 strands of eve. Each job reads, fits, retextures, writes, and reads the file back. Printed is one row a measure and
@@ -21,6 +21,7 @@ and so is its radius about that guide.
 from __future__ import annotations
 
 import argparse
+import hashlib
 import os
 import resource
 import sys
@@ -76,14 +77,14 @@ class Column:
         self.cells[measure] = (text, None if ok is None else bool(ok))
 
 
-FITTED: dict[bytes, FittedTexture] = {}
+FITTED: dict[str, FittedTexture] = {}
 
 
 @dataclass(frozen=True)
 class Job:
     """Input strands and targets as they were read, a folder for files, the strands' seed, and how to fit.
 
-    halvings: of the targets, to compare what is fitted to one half with the other.
+    halvings: of the targets, to compare what is fitted to one half with the other. textures: a folder of fitted ones.
     """
 
     name: str
@@ -94,19 +95,27 @@ class Job:
     seed: int
     method: str
     halvings: int
+    textures: Path | None
 
     def fit(self, targets: Groom) -> FittedTexture:
-        """Fit, once for the jobs that share their targets."""
-        key = targets.points.tobytes()
-        if key not in FITTED:
+        """Fit, once for the jobs that share their targets, and once for all where textures are kept."""
+        key = hashlib.sha256(targets.points.tobytes()).hexdigest()[:16]
+        kept = None if self.textures is None else self.textures / f"{self.method}_{key}.texture"
+        if key not in FITTED and kept is not None and kept.is_file():
+            FITTED[key] = detangled.load_texture(kept)
+        elif key not in FITTED:
             FITTED[key] = detangled.fit(targets, self.method)
+            if kept is not None:
+                detangled.save_texture(FITTED[key], kept)
         return FITTED[key]
 
-    def retextured(self, groom: Groom, texture: FittedTexture, length: Length, column: Column | None = None) -> Groom:
-        """Retexture, write, and read the file again."""
+    def retextured(
+        self, groom: Groom, texture: FittedTexture, length: Length, column: Column | None = None, draw: int = 0
+    ) -> Groom:
+        """Retexture, write, and read the file again. draw: with which seed after the job's."""
         path = self.folder / f"{self.name}{self.suffix}"
         began = time.perf_counter()
-        result = detangled.retexture(groom, texture, Options(length, seed=self.seed))
+        result = detangled.retexture(groom, texture, Options(length, seed=self.seed + draw))
         made = time.perf_counter()
         detangled.write(result.groom, path)
         wrote = time.perf_counter()
@@ -143,7 +152,17 @@ def prepare(name: str, every: int, folder: Path, options: argparse.Namespace, co
     targets = detangled.read(target, unit="m" if name == "straight" else None)
     column.put("seconds: read", f"{time.perf_counter() - began:.2f}")
     groom = groom.select(np.arange(0, groom.strand_count, every))
-    return Job(name, groom, targets, folder, source.suffix, options.seed, options.method, options.halvings)
+    return Job(
+        name,
+        groom,
+        targets,
+        folder,
+        source.suffix,
+        options.seed,
+        options.method,
+        options.halvings,
+        options.textures,
+    )
 
 
 def measure(job: Job, column: Column) -> None:
@@ -283,8 +302,8 @@ def distributions(
 
     Means over several halvings. Strands whose guide is shorter than any target are compared as they lie in the world,
     style and all, with pieces of held-out targets as long as they are and set on the same guides; the distance of the
-    halves is then that of such pieces too. Longer ones are straightened about the input's guide, and compared with
-    whole targets.
+    halves is then that of such pieces too. Where there are few such guides, they are taken several times. Longer ones
+    are straightened about the input's guide, and compared with whole targets.
     """
     kinds = ("kappa",) if straight else ("kappa", "|tau|")
     # Cells of one width: wider ones would smooth more.
@@ -296,24 +315,23 @@ def distributions(
         seen, held_out = np.sort(order[: len(real) // 2]), order[len(real) // 2 :]
         chosen = np.sort(rng.permutation(groom.strand_count)[:HELD_OUT])
         texture = job.fit(job.targets.select(seen))
-        new = job.retextured(groom.select(chosen), texture, Length.GUIDE)
-        on = guides.select(chosen)
-        for which, some in ((LONGER, longer[chosen]), (SHORTER, ~longer[chosen])):
-            rows = np.flatnonzero(some)
-            if len(rows) < FEWEST_COMPARED:
+        for which, some in ((LONGER, chosen[longer[chosen]]), (SHORTER, chosen[~longer[chosen]])):
+            if len(some) < FEWEST_COMPARED:
                 continue
+            strands, on = groom.select(some), guides.select(some)
             if which == LONGER:
-                made_of_seen = measures.given_axis(new.select(rows), on.select(rows))
+                new = job.retextured(strands, texture, Length.GUIDE)
+                made_of_seen = measures.strand_signals(measures.given_axis(new, on), width)
                 halves = [[real[i] for i in half] for half in (seen, held_out)]
             else:
-                made_of_seen = measures.in_world(new.select(rows))
-                pieces = [
-                    measures.pieces_on_guides(aims.select(half), groom.select(chosen[rows]), on.select(rows), rng)
-                    for half in (seen, held_out)
-                ]
-                halves = [measures.strand_signals(measures.in_world(piece), width) for piece in pieces]
-            signals = measures.strand_signals(made_of_seen, width)
-            distances = measures.wasserstein(signals, halves[1]), measures.wasserstein(*halves)
+                made_of_seen, halves = [], [[], []]
+                for draw in range(-(-HELD_OUT // len(some))):
+                    new = job.retextured(strands, texture, Length.GUIDE, draw=draw)
+                    made_of_seen += measures.strand_signals(measures.in_world(new), width)
+                    for half, pieces in zip((seen, held_out), halves, strict=True):
+                        piece = measures.pieces_on_guides(aims.select(half), strands, on, rng)
+                        pieces += measures.strand_signals(measures.in_world(piece), width)
+            distances = measures.wasserstein(made_of_seen, halves[1]), measures.wasserstein(*halves)
             found.setdefault(which, []).append(distances)
     for which, distances in found.items():
         if 2 * len(distances) < job.halvings:
@@ -390,7 +408,10 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument(
         "--halvings", type=int, help=f"of the targets; default: {HALVINGS}, or 1 where a network is trained"
     )
+    parser.add_argument("--textures", type=Path, help="keep what is fitted in this folder, and take it from there")
     options = parser.parse_args(arguments)
+    if options.textures is not None:
+        options.textures.mkdir(parents=True, exist_ok=True)
     options.halvings = options.halvings or (1 if options.method == FINETUNE else HALVINGS)
     jobs = options.jobs.split(",")
     if unknown := set(jobs) - set(EVERY):

@@ -10,7 +10,7 @@ from detangled.geometry.arc import arc_positions
 from detangled.geometry.signal import finer_cells
 from detangled.groom import Attribute
 from detangled.grooming.guides import resampled_attributes
-from detangled.grooming.placing import bend_onto, cut
+from detangled.grooming.placing import bend_onto, cut, seat
 from detangled.usable import usable_strands
 
 
@@ -59,6 +59,23 @@ def test_attributes_keep_their_bits_where_point_counts_stay() -> None:
     ends = resampled_attributes(groom, shorter)[0]["width"].values
     assert ends[0] == width[0]
     assert ends[shorter[1:] - 1].tolist() == width[groom.offsets[1:] - 1].tolist()
+
+
+def curvatures(points: np.ndarray) -> np.ndarray:
+    steps = np.diff(points, axis=0)
+    sizes = np.linalg.norm(steps, axis=1)
+    bend = np.linalg.norm(np.cross(steps[1:], steps[:-1]), axis=1) / (sizes[1:] * sizes[:-1])
+    return np.asarray(np.arcsin(bend) / sizes[1:])
+
+
+@pytest.mark.parametrize(("radius", "wavelength"), [(0.5, 0.6), (0.95, 3.8), (0.45, 9.0)])
+def test_a_strand_of_few_turns_goes_over_to_its_guide_soon_but_without_a_kink(radius: float, wavelength: float) -> None:
+    strand = coil(3.0, 400, radius, wavelength)
+    seated = seat(strand, np.zeros(3), 0.7)
+    assert np.array_equal(seated[0], np.zeros(3))
+    # A circle through the axis lies 4 / pi radii from it in the mean.
+    assert 0.9 < np.hypot(seated[:, 0], seated[:, 1]).mean() / radius < 1.08
+    assert curvatures(seated).max() < 1.3 * np.median(curvatures(strand))
 
 
 @pytest.mark.parametrize("radius", [0.4, 1.0, 3.0])

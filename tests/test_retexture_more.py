@@ -203,7 +203,7 @@ def test_more_points_than_are_made_are_refused_before_any_are(
     assert re.search(words, line)
     coily = fit(read(COILY, unit="cm"))
     made = retexture(hair, coily).groom
-    monkeypatch.setattr("detangled.grooming.density.MOST_POINTS", int(0.8 * len(made.points)))
+    monkeypatch.setattr("detangled.grooming.density.MOST_POINTS", int(0.75 * len(made.points)))
     for factor in (1.0, None):
         with pytest.raises(DetangledError, match="lower --density or --max-points"):
             retexture(hair, coily, Options(density=factor))

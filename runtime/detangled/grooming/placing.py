@@ -17,10 +17,10 @@ from detangled.kernels import kernel, parallel_kernel, prange
 
 GUIDE_SAMPLES_PER_SEGMENT = 8
 FEWEST_GUIDE_SAMPLES, MOST_GUIDE_SAMPLES = 1024, 4096
-# A new strand starts at the old root, and goes over to its own distance from the guide in so many of its radii along
-# the axis: sooner would be a kink. From an old root further out it takes so many of that root's distances, but within
-# this share of the strand.
-BLEND_RADII = 6.0
+# A new strand starts at the old root, and goes over to its own place about the guide in so many of its turns along the
+# axis, or in so many distances of an old root that lies further out; but within this share of the strand, where that is
+# not sooner than in the least: it would be a kink.
+BLEND_TURNS, LEAST_BLEND_TURNS = 0.9, 0.3
 ROOT_RADII = 12.0
 BLEND_SHARE = 0.5
 
@@ -99,20 +99,35 @@ def _blend(along: float, reach: float) -> float:
 
 
 @kernel
+def _arc_of_a_turn(canonical: NDArray[np.float64]) -> float:
+    """Arc length [cm] in which a canonical strand (n, 3) goes around once, by its distance from the axis; 0 on it."""
+    away = 0.0
+    across = 0.0
+    arc = 0.0
+    for i in range(canonical.shape[0] - 1):
+        x, y, z = canonical[i + 1] - canonical[i]
+        step = np.sqrt(x * x + y * y + z * z)
+        away += step * np.hypot(canonical[i, 0], canonical[i, 1])
+        across += np.hypot(x, y)
+        arc += step
+    return 2.0 * np.pi * away / across if across > 0.0 else 0.0
+
+
+@kernel
 def seat(canonical: NDArray[np.float64], root: NDArray[np.float64], angle: float) -> NDArray[np.float64]:
     """Turn a canonical strand (n, 3) about its axis and let it start at ``root`` (3,), in canonical space."""
     n = canonical.shape[0]
     cosine = np.cos(angle)
     sine = np.sin(angle)
     out = np.empty((n, 3))
-    size = 0.0
     for i in range(n):
         out[i, 0] = cosine * canonical[i, 0] - sine * canonical[i, 1]
         out[i, 1] = sine * canonical[i, 0] + cosine * canonical[i, 1]
         out[i, 2] = canonical[i, 2] - canonical[0, 2]
-        size += np.sqrt(canonical[i, 0] ** 2 + canonical[i, 1] ** 2)
     length = -out[n - 1, 2]
-    across = max(BLEND_RADII * size / n, min(ROOT_RADII * np.hypot(root[0], root[1]), BLEND_SHARE * length))
+    turn = _arc_of_a_turn(canonical)
+    gentle = max(BLEND_TURNS * turn, ROOT_RADII * np.hypot(root[0], root[1]))
+    across = max(LEAST_BLEND_TURNS * turn, min(gentle, BLEND_SHARE * length))
     down = min(across, BLEND_SHARE * length)
     shift = root - out[0]
     for i in range(n):
