@@ -129,7 +129,7 @@ class Timed:
 def drawn(count: int, seed: int = 0) -> float:
     """Seconds to draw so many guided strands' signals."""
     hair = hair_type("VI").parameters()
-    texture = network_texture(hair.radius, hair.wavelength, hair.twist, BOTH, rounds=0)
+    texture = network_texture(hair.radius, hair.wavelength, hair.twist, BOTH, as_drawn=True)
     began = time.perf_counter()
     synthesise(texture, np.full(count, LENGTH), np.arange(count), seed)
     return time.perf_counter() - began
@@ -189,7 +189,7 @@ def main(arguments: list[str] | None = None) -> int:
     options = parser.parse_args(arguments)
     if options.generate:
         hair = hair_type("VI").parameters()
-        texture = network_texture(hair.radius, hair.wavelength, hair.twist, BOTH, rounds=0)
+        texture = network_texture(hair.radius, hair.wavelength, hair.twist, BOTH, as_drawn=True)
         groom = generate(texture, options.generate, LENGTH, steps=FEW_STEPS)
         print(resource.getrusage(resource.RUSAGE_SELF).ru_maxrss * 1024 / 1e9, len(groom.points))
         return 0

@@ -158,9 +158,9 @@ def generated(method: str, wanted: Wanted, seed: int) -> Measured:
     strands = []
     for radius, wavelength, twist, length in zip(*wanted, strict=True):
         if method == LIBRARY:
-            texture = library_texture(radius, wavelength, twist, library, rounds=0)
+            texture = library_texture(radius, wavelength, twist, library, as_drawn=True)
         else:
-            texture = network_texture(radius, wavelength, twist, method, rounds=0)
+            texture = network_texture(radius, wavelength, twist, method, as_drawn=True)
         strands.append(generate(texture, 1, length, seed + len(strands)).points)
     groom = Groom.from_strands(strands)
     return measured(groom.points, groom.offsets, arc_of_a_turn(wanted.radius, wanted.wavelength))

@@ -37,13 +37,13 @@ class Numbers(NamedTuple):
         return self.wound if twist <= FEW_TWISTS else self.labelled
 
 
-def _drawn(texture: Texture, seed: int = SEED) -> Groom:
+def some_drawn(texture: Texture, seed: int = SEED) -> Groom:
+    """Strands of a texture, of all lengths."""
     return generate(texture, DRAWN, np.linspace(*LENGTHS, DRAWN), seed)
 
 
-def numbers_drawn(texture: Texture) -> Numbers:
+def numbers_of(strands: Groom) -> Numbers:
     """What strands drawn of a texture are like."""
-    strands = _drawn(texture)
     labels = label(strands)
     labelled = [_middle(values) for values in (labels.radius, labels.wavelength)]
     return Numbers(_wound(strands), np.array(labelled), _middle(labels.twist, least=0.0))
@@ -54,15 +54,18 @@ def _wound(strands: Groom) -> NDArray[np.float64]:
     return np.array([_middle(values) for values in winding(strands.points, strands.offsets)])
 
 
-def settled(texture: AnyTexture, radius: float, wavelength: float, twist: float) -> AnyTexture:
+def settled(
+    texture: AnyTexture, radius: float, wavelength: float, twist: float, drawn: Groom | None = None
+) -> AnyTexture:
     """A texture whose strands are each resized until they read as hair of these numbers [cm], T_f, does.
 
-    Where most of its strands cannot be read they are left as they are drawn.
+    drawn: strands of it, of whatever size, which spare to draw others. Where most of its strands cannot be read they
+    are left as they are drawn.
     """
     if twist > FEW_TWISTS:
         return replace(texture, settling=Settling(BY_LABELS, radius, wavelength, twist))
-    for seed in range(SEED, SEED + ROUNDS):
-        strands = _drawn(texture, seed)
+    for seed in range(SEED, SEED + (ROUNDS if drawn is None else 1)):
+        strands = some_drawn(texture, seed) if drawn is None else drawn
         extents = np.array([_middle(values) for values in read(strands, BY_EXTENT)[0].T])
         # What a strand extends is a little more than winding says.
         wanted = extents * np.array([radius, wavelength]) / _wound(strands)
@@ -77,7 +80,7 @@ def trends(texture: Texture) -> NDArray[np.float64]:
 
     Hair that hangs is narrower and longer drawn near its root. 0 where that cannot be told.
     """
-    strands = _drawn(texture)
+    strands = some_drawn(texture)
     halves = [np.array_split(strands.strand(s), 2) for s in range(strands.strand_count)]
     upper, lower = (winding(part.points, part.offsets) for part in map(Groom.from_strands, zip(*halves, strict=True)))
     found = [2.0 * np.log(_middle(below) / _middle(above)) for above, below in zip(upper, lower, strict=True)]

@@ -11,24 +11,23 @@ from dataclasses import replace
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.draws import numbers_drawn, settled
+from detangled.draws import numbers_of, settled, some_drawn
 from detangled.fitted import FittedTexture
 from detangled.fitting import PATCH_GRID, measured_canonical
 from detangled.geometry.waves import is_weak
 from detangled.library import Library, load_library
 from detangled.retexturing import FEWEST_TURNS
 
-ROUNDS = 1
-MOST_RESIZED = 1.6  # in one round
+MOST_RESIZED = 1.6
 
 
 def library_texture(
-    radius: float, wavelength: float, twist: float, library: Library | None = None, rounds: int = ROUNDS
+    radius: float, wavelength: float, twist: float, library: Library | None = None, as_drawn: bool = False
 ) -> FittedTexture:
     """The texture of these numbers [cm], T_f.
 
-    rounds: how often its examples are resized until strands drawn of them are as asked; with none, strands are not
-    settled either. Raises ModelError where the library is missing or damaged.
+    as_drawn: neither are its examples resized until strands drawn of them are as asked, nor are strands settled. Raises
+    ModelError where the library is missing or damaged.
     """
     library = library or load_library()
     chosen = library.nearest(radius, wavelength, twist)
@@ -42,30 +41,21 @@ def library_texture(
         ]
     )
     points = points * np.repeat(sizes, np.diff(offsets), axis=1).T
-    return _calibrated(points, offsets, (radius, wavelength, twist), rounds)
+    waves = bool(is_weak(radius, wavelength))
+    texture = _learned(points, offsets, waves)
+    if as_drawn:
+        return texture
+    wrong = np.array([radius, wavelength]) / numbers_of(some_drawn(texture)).sizes(twist)
+    wrong = np.clip(np.where(np.isfinite(wrong), wrong, 1.0), 1.0 / MOST_RESIZED, MOST_RESIZED)
+    return settled(_learned(points * wrong[[0, 0, 1]], offsets, waves), radius, wavelength, twist)
 
 
-def _calibrated(
-    points: NDArray[np.float64], offsets: NDArray[np.int64], numbers: tuple[float, float, float], rounds: int
-) -> FittedTexture:
-    """The texture of canonical strands, resized until strands drawn of it are as asked."""
-    radius, wavelength, twist = numbers
-    scaled = points
-    for remaining in reversed(range(rounds + 1)):
-        axis = np.abs(scaled[offsets[1:] - 1, 2] - scaled[offsets[:-1], 2])
-        texture = measured_canonical(scaled, offsets, axis, PATCH_GRID)
-        texture = replace(
-            texture,
-            median_arc=max(texture.median_arc, FEWEST_TURNS * texture.turn),
-            both_hands=True,
-            stiff=False,
-            waves=bool(is_weak(radius, wavelength)),
-        )
-        if remaining:
-            wrong = np.array([radius, wavelength]) / numbers_drawn(texture).sizes(twist)
-            wrong = np.clip(np.where(np.isfinite(wrong), wrong, 1.0), 1.0 / MOST_RESIZED, MOST_RESIZED)
-            scaled = scaled * wrong[[0, 0, 1]]
-    return settled(texture, radius, wavelength, twist) if rounds else texture
+def _learned(points: NDArray[np.float64], offsets: NDArray[np.int64], waves: bool) -> FittedTexture:
+    """The texture of canonical strands."""
+    axis = np.abs(points[offsets[1:] - 1, 2] - points[offsets[:-1], 2])
+    texture = measured_canonical(points, offsets, axis, PATCH_GRID)
+    longer = max(texture.median_arc, FEWEST_TURNS * texture.turn)
+    return replace(texture, median_arc=longer, both_hands=True, stiff=False, waves=waves)
 
 
 def _hands(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:

@@ -10,25 +10,30 @@ from dataclasses import replace
 
 import numpy as np
 
-from detangled.draws import numbers_drawn, settled
+from detangled.draws import numbers_of, settled, some_drawn
 from detangled.geometry.waves import is_weak
+from detangled.groom import Groom
 from detangled.labeling import CELLS, CELLS_PER_TURN
 from detangled.numbered import NumberedTexture
 from detangled.retexturing import FEWEST_TURNS
 from detangled.texture import RADIUS_LIMITS, SHARE_LIMITS, WAVELENGTH_LIMITS, arc_of_a_turn
 
 LONGEST_WINDOW = 30.0  # [cm] of arc that the network is shown at once: the strands it knows are hardly longer
-ROUNDS = 1
-MOST_CORRECTED = 1.5  # in one round
+MOST_CORRECTED = 1.5
 
 
 def network_texture(
-    radius: float, wavelength: float, twist: float, method: str, finite_differences: bool = False, rounds: int = ROUNDS
+    radius: float,
+    wavelength: float,
+    twist: float,
+    method: str,
+    finite_differences: bool = False,
+    as_drawn: bool = False,
 ) -> NumberedTexture:
     """The texture of these numbers [cm], T_f.
 
-    rounds: how often what is asked is corrected; with none, strands are not settled either. Raises ModelError where a
-    model is missing or damaged.
+    as_drawn: neither is what is asked corrected, nor are strands settled. Raises ModelError where a model is missing or
+    damaged.
     """
     turn = float(arc_of_a_turn(radius, wavelength))
     texture = NumberedTexture(
@@ -48,14 +53,15 @@ def network_texture(
         waves=bool(is_weak(radius, wavelength)),
         fewest_cells=CELLS,
     )
-    for _ in range(rounds):
-        texture = _corrected(texture, (radius, wavelength, twist))
-    return settled(texture, radius, wavelength, twist) if rounds else texture
+    if as_drawn:
+        return texture
+    drawn = some_drawn(texture)
+    return settled(_corrected(texture, drawn, (radius, wavelength, twist)), radius, wavelength, twist, drawn)
 
 
-def _corrected(texture: NumberedTexture, wanted: tuple[float, float, float]) -> NumberedTexture:
+def _corrected(texture: NumberedTexture, drawn: Groom, wanted: tuple[float, float, float]) -> NumberedTexture:
     """A texture that asks for more of what is too small in strands drawn of it."""
-    found = numbers_drawn(texture)
+    found = numbers_of(drawn)
     sizes = np.clip(np.array(wanted[:2]) / found.sizes(wanted[2]), 1.0 / MOST_CORRECTED, MOST_CORRECTED)
     radius, wavelength = np.where(np.isfinite(sizes), sizes, 1.0) * (texture.asked_radius, texture.asked_wavelength)
     missing = wanted[2] - found.twist if np.isfinite(found.twist) else 0.0
