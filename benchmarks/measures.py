@@ -14,7 +14,7 @@ from scipy.stats import wasserstein_distance
 
 from detangled import Groom
 from detangled.diffusion.whitening import Whitening
-from detangled.geometry.arc import arc_lengths
+from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.geometry.canonical import guide_frames
 from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import signals
@@ -179,6 +179,18 @@ def given_axis(groom: Groom, guides: Groom) -> Canonical:
 def axial_lengths(canonical: Canonical) -> Floats:
     """How far down the axis each strand reaches, (S,) [cm]."""
     return np.array([-strand[:, 2].min() for strand in canonical.strands()])
+
+
+def without_ends(canonical: Canonical, arc: float) -> Canonical:
+    """Strands without so much arc length [cm] at either end, from their new roots down; all must be longer."""
+    along = arc_positions(canonical.points, canonical.offsets)
+    strands = []
+    for a, b in pairwise(canonical.offsets):
+        inner = (along[a:b] >= arc) & (along[a:b] <= along[b - 1] - arc)
+        strand = canonical.points[a:b][inner]
+        strands.append(strand - [0.0, 0.0, strand[0, 2]])
+    groom = Groom.from_strands(strands)
+    return Canonical(groom.points, groom.offsets)
 
 
 def pieces_on_guides(targets: Canonical, groom: Groom, guides: Groom, rng: np.random.Generator) -> Groom:

@@ -49,6 +49,7 @@ EVERY = {"eve": 10, "bob": 2, "combover": 50, "straight": 1}  # strands measured
 SAMPLE = 48  # strands of the measures that compare all with all
 LONGER, SHORTER = "longer than targets", "shorter than targets"
 FEWEST_COMPARED = 10
+END_TURNS = 1.5  # of a strand: there its axis is known least well
 HALVINGS = 15  # of five the means still move by a third
 HELD_OUT = 200  # new strands compared with targets that their texture was not fitted to
 LENGTH_BOUND = 1e-3
@@ -199,7 +200,8 @@ def measure(job: Job, column: Column) -> None:
     real = measures.strand_signals(aims, texture.cell_width)
     made = measures.strand_signals(measures.mixed(own, given, long), texture.cell_width)
     likeness(made, real, texture, straight, rng, column)
-    distributions(job, groom, guides, aims, real, straight, rng, column)
+    ends = 0.0 if straight else END_TURNS * texture.turn
+    distributions(job, groom, guides, aims, texture.cell_width, ends, rng, column)
     in_world(new, targets, texture.cell_width, column)
     axis_wander(texture, usable.lengths, job.seed, rng, column)
 
@@ -293,8 +295,8 @@ def distributions(
     groom: Groom,
     guides: Groom,
     aims: measures.Canonical,
-    real: list[np.ndarray],
-    straight: bool,
+    cell_width: float,
+    ends: float,
     rng: np.random.Generator,
     column: Column,
 ) -> None:
@@ -303,9 +305,12 @@ def distributions(
     Means over several halvings. Strands whose guide is shorter than any target are compared as they lie in the world,
     style and all, with pieces of held-out targets as long as they are and set on the same guides; the distance of the
     halves is then that of such pieces too. Where there are few such guides, they are taken several times. Longer ones
-    are straightened about the input's guide, and compared with whole targets.
+    are straightened about the input's guide, and compared with whole targets. ``ends`` [cm] of arc, where an axis is
+    known least well, are left out of both, and of pieces; where there are none, strands are straight.
     """
-    kinds = ("kappa",) if straight else ("kappa", "|tau|")
+    kinds = ("kappa", "|tau|") if ends else ("kappa",)
+    aims = measures.without_ends(aims, ends)
+    real = measures.strand_signals(aims, cell_width)
     # Cells of one width: wider ones would smooth more.
     width = float(real[0][:, 2].mean() / len(real[0]))
     longer = style_guides(groom).lengths >= measures.axial_lengths(aims).min()
@@ -321,7 +326,7 @@ def distributions(
             strands, on = groom.select(some), guides.select(some)
             if which == LONGER:
                 new = job.retextured(strands, texture, Length.GUIDE)
-                made_of_seen = measures.strand_signals(measures.given_axis(new, on), width)
+                made_of_seen = measures.strand_signals(measures.without_ends(measures.given_axis(new, on), ends), width)
                 halves = [[real[i] for i in half] for half in (seen, held_out)]
             else:
                 made_of_seen, halves = [], [[], []]

@@ -56,3 +56,8 @@ class Texture:
     def wave_turn(self) -> float:
         """The arc length [cm] of a turn where the strands are weak waves, else 0."""
         return self.turn if self.waves else 0.0
+
+    @property
+    def shortest_drawn(self) -> float:
+        """The arc length [cm] of the shortest strands that are drawn; shorter ones are cut out of these. 0 for any."""
+        return 0.0

@@ -28,18 +28,20 @@ class ToDraw:
     """What strands (S,) are to be drawn.
 
     arcs: arc lengths [cm]. kept: of them, from the root, as it will be written. names: numbers that tell them apart.
-    short: which are made too long, to be cut. dropped: arc length [cm] that these lose at their roots.
+    straight: whose axes are taken to be straight. dropped: arc lengths [cm] that are lost at the roots.
     """
 
     arcs: NDArray[np.float64]
     kept: NDArray[np.float64]
     names: NDArray[np.int64]
-    short: NDArray[np.bool_]
-    dropped: float
+    straight: NDArray[np.bool_]
+    dropped: NDArray[np.float64]
 
     def select(self, chosen: NDArray[np.int64]) -> ToDraw:
         """These of them alone."""
-        return ToDraw(self.arcs[chosen], self.kept[chosen], self.names[chosen], self.short[chosen], self.dropped)
+        return ToDraw(
+            self.arcs[chosen], self.kept[chosen], self.names[chosen], self.straight[chosen], self.dropped[chosen]
+        )
 
 
 class Drawn(NamedTuple):
@@ -87,8 +89,7 @@ def _drawn(
 ) -> tuple[Drawn, NDArray[np.float64]]:
     """Strands, and how often they twist where that is read, (S,)."""
     values, starts = synthesise(texture, what.arcs, what.names, seed, steps, progress, engine)
-    dropped = np.where(what.short, what.dropped, 0.0)
-    points, offsets = canonical_strands(values, starts, what.short & texture.stiff, dropped, texture.wave_turn)
+    points, offsets = canonical_strands(values, starts, what.straight, what.dropped, texture.wave_turn)
     drawn = Drawn(values, starts, points, offsets, np.ones((len(what.arcs), 2)))
     if texture.settling is None:
         return drawn, np.full(len(what.arcs), np.nan)

@@ -60,6 +60,11 @@ class FittedTexture(Texture):
         return np.concatenate([self.whitening.whiten(self.signals[a:b]) for a, b in pairwise(self.starts)], axis=1)
 
     @property
+    def shortest_drawn(self) -> float:
+        """A network draws strands as long as those that it was shown."""
+        return self.median_arc if self.method == FINETUNE else 0.0
+
+    @property
     def cells(self) -> NDArray[np.int64]:
         """Cells of each strand, (E,)."""
         return np.diff(self.starts)

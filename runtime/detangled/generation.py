@@ -20,7 +20,7 @@ from detangled.groom import Groom, offsets_of
 from detangled.grooming.density import MOST_STRANDS, check_points
 from detangled.grooming.lengths import Length, resized
 from detangled.grooming.placing import cut, resample
-from detangled.retexturing import DROPPED_TURNS, arcs_to_make, drawn_arcs, points_to_make, turns_about_axis
+from detangled.retexturing import drawn_arcs, points_to_make, strands_to_make, turns_about_axis
 from detangled.settling import MOST_RESIZED
 
 CHUNK = 512  # strands made at once
@@ -52,13 +52,13 @@ def generate(
     check_points(count, points_to_make(texture, lengths, Length.STRAND), "--count or --length")
     kept = drawn_arcs(texture, lengths, Length.STRAND)
     spare = SPARE if texture.settling is None else SPARE * MOST_RESIZED
-    arcs, short = arcs_to_make(texture, lengths * spare, Length.STRAND)
+    wanted = strands_to_make(texture, lengths * spare, Length.STRAND, seed, np.arange(count))
     engine = engine_of(texture)
     strands: list[NDArray[np.float64]] = []
     for first in range(0, count, CHUNK):
         part = slice(first, min(first + CHUNK, count))
         names = np.arange(part.start, part.stop)
-        what = ToDraw(arcs[part], kept[part], names, short[part], DROPPED_TURNS * texture.turn)
+        what = ToDraw(wanted.arcs[part], kept[part], names, wanted.straight[part], wanted.dropped[part])
         drawn = draw_strands(texture, what, seed, steps, progress, engine)
         fine, offsets = resized(drawn.points, drawn.offsets, drawn.sizes), drawn.offsets
         if texture.shape is not None:

@@ -8,6 +8,7 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
+from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -35,7 +36,9 @@ CHUNK = 512  # strands made at once: the memory that a groom needs beside its ow
 FEWEST_TURNS = 8.0
 MOST_TURNS = 10_000  # of a strand: 20 m of the tightest curls have about half as many, a wrong unit gives more
 CUT_MARGIN = 1.1
+# Its axis is known least well at its root, which is dropped of any strand of turns enough.
 DROPPED_TURNS = 1.5
+_PIECE = 3  # tells what chooses a piece of a strand from other streams of random numbers
 LENGTH_TOLERANCE = 1e-3
 
 
@@ -111,16 +114,16 @@ def retexture(
         check_points(len(guides.kept), total)
         guides = guides if keeper is None else keeper.turned(guides)
     goals = _goals(guides, options.length)
-    arcs, short = arcs_to_make(texture, goals, options.length)
+    wanted = strands_to_make(texture, goals, options.length, options.seed, guides.kept)
     kept = drawn_arcs(texture, goals, options.length)
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
         roots=guides.canonical()[guides.groom.offsets[:-1]],
         turns=turns_about_axis(options.seed, guides.kept),
         goals=goals,
-        short=short,
-        dropped=DROPPED_TURNS * texture.turn,
-        stiff=texture.stiff,
+        cut=wanted.cut,
+        straight=wanted.straight,
+        dropped=wanted.dropped,
         wave_turn=texture.wave_turn,
         shape=texture.shape,
         room=None if keeper is None else keeper.room,
@@ -133,11 +136,11 @@ def retexture(
     per_turn = np.full(len(guides.kept), float(POINTS_PER_TURN))
     # Strands on grids of one size are made together.
     engine = engine_of(texture)
-    order = np.argsort(texture.grid_cells(arcs), kind="stable")
+    order = np.argsort(texture.grid_cells(wanted.arcs), kind="stable")
     for first in range(0, len(order), CHUNK):
         members = np.sort(order[first : first + CHUNK])
         names = guides.kept[members]
-        what = ToDraw(arcs[members], kept[members], names, short[members], seats.dropped)
+        what = ToDraw(wanted.arcs[members], kept[members], names, wanted.straight[members], wanted.dropped[members])
         drawn = draw_strands(texture, what, options.seed, options.steps, progress, engine)
         here = replace(seats.select(members), sizes=drawn.sizes)
         signals, canonical = (drawn.values, drawn.starts), (drawn.points, drawn.offsets)
@@ -177,18 +180,39 @@ def retexture(
     )
 
 
-def arcs_to_make(
-    texture: Texture, goals: NDArray[np.float64], length: Length
-) -> tuple[NDArray[np.float64], NDArray[np.bool_]]:
-    """Arc lengths (S,) [cm] to ask the sampler for, and which strands will be cut to length instead of scaled."""
+class ToMake(NamedTuple):
+    """Strands (S,) that are asked of the sampler: arc lengths [cm], which will be cut to length instead of scaled,
+    whose axes are taken to be straight, and arc lengths [cm] that are lost at the roots.
+    """
+
+    arcs: NDArray[np.float64]
+    cut: NDArray[np.bool_]
+    straight: NDArray[np.bool_]
+    dropped: NDArray[np.float64]
+
+
+def strands_to_make(
+    texture: Texture, goals: NDArray[np.float64], length: Length, seed: int, names: NDArray[np.int64]
+) -> ToMake:
+    """What to ask of the sampler for strands of these lengths (S,) [cm] and names (S,)."""
     arcs = drawn_arcs(texture, goals, length)
-    least = FEWEST_TURNS * texture.turn
+    none, every = np.zeros(len(arcs), dtype=np.bool_), np.ones(len(arcs), dtype=np.bool_)
+    ends = np.full(len(arcs), DROPPED_TURNS * texture.turn)
     if texture.waves:
         # Ends without an axis, of every strand.
-        return CUT_MARGIN * arcs + 2.0 * DROPPED_TURNS * texture.turn, np.ones(len(arcs), dtype=np.bool_)
-    short = (arcs < least) & (texture.median_arc >= least)
-    arcs[short] = CUT_MARGIN * least + DROPPED_TURNS * texture.turn
-    return arcs, short
+        return ToMake(CUT_MARGIN * arcs + 2.0 * ends, every, none, ends)
+    least = FEWEST_TURNS * texture.turn
+    if texture.median_arc < least:
+        short, ends = none, np.zeros(len(arcs))
+    else:
+        short = arcs < least
+    spare = texture.shortest_drawn - CUT_MARGIN * arcs - 2.0 * ends
+    piece = spare > 0.0
+    begin = ends.copy()
+    for row in np.flatnonzero(piece):
+        begin[row] += spare[row] * np.random.default_rng([seed, int(names[row]), _PIECE]).random()
+    arcs = np.where(piece, texture.shortest_drawn, np.where(short, CUT_MARGIN * least, arcs) + ends)
+    return ToMake(arcs, short | piece, short & ~piece & texture.stiff, begin)
 
 
 def drawn_arcs(texture: Texture, goals: NDArray[np.float64], length: Length) -> NDArray[np.float64]:

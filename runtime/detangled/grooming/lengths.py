@@ -32,7 +32,7 @@ STRICT_ROUNDS = 3
 MOST_ROUNDS = 12
 MOST_SCALE = 4.0  # of v in one round: a strand that curls back on itself may have hardly any axial length
 OFF_AXIS = 0.1  # an old root further out than this share of the new one's distance has a direction to keep
-STYLELESS_TURNS = 24.0  # a new strand's axis may bend as sharply as that of a coil of so many turns
+STYLELESS_TURNS = 36.0  # a new strand's axis may bend as sharply as that of a coil of so many turns
 
 
 class Length(str, Enum):
@@ -46,23 +46,23 @@ class Length(str, Enum):
 class Seats:
     """Where new strands go.
 
-    guides: a groom of style guides. roots: (S, 3) [cm], where each strand starts in its guide's canonical space.
-    turns: (S,) [rad], by how much a strand is turned about its axis where its root lies on the guide.
-    goals: (S,) [cm], lengths. short: (S,), strands that are made too long and cut.
-    dropped: arc length [cm] that short strands lose at the root too, where a centreline is known least well.
-    stiff: whether short strands are taken to have straight axes: a few turns do not say how an axis bends, and to
-    unbend what was found of it would add torsion. wave_turn: arc length [cm] of a turn where the strands are weak
-    waves, else 0. shape: given to canonical strands. sizes: (S, 2), factors that radius and wavelength of canonical
-    strands are given first; None for none. room: what keeps the strands out of a head; None where there is none.
+    guides: a groom of style guides. roots: (S, 3) [cm], where each strand starts in its guide's canonical space. turns:
+    (S,) [rad], by how much a strand is turned about its axis where its root lies on the guide. goals: (S,) [cm],
+    lengths. cut: (S,), strands that are made too long and cut. straight: (S,), those whose axes are taken to be
+    straight: a few turns do not say how an axis bends, and to unbend what was found of it would add torsion. dropped:
+    (S,), arc lengths [cm] that strands lose at the root. wave_turn: arc length [cm] of a turn where the strands are
+    weak waves, else 0. shape: given to canonical strands. sizes: (S, 2), factors that radius and wavelength of
+    canonical strands are given first; None for none. room: what keeps the strands out of a head; None where there is
+    none.
     """
 
     guides: Groom
     roots: NDArray[np.float64]
     turns: NDArray[np.float64]
     goals: NDArray[np.float64]
-    short: NDArray[np.bool_]
-    dropped: float
-    stiff: bool = True
+    cut: NDArray[np.bool_]
+    straight: NDArray[np.bool_]
+    dropped: NDArray[np.float64]
     wave_turn: float = 0.0
     shape: Shape | None = None
     sizes: NDArray[np.float64] | None = None
@@ -75,9 +75,9 @@ class Seats:
             self.roots[chosen],
             self.turns[chosen],
             self.goals[chosen],
-            self.short[chosen],
-            self.dropped,
-            self.stiff,
+            self.cut[chosen],
+            self.straight[chosen],
+            self.dropped[chosen],
             self.wave_turn,
             self.shape,
             None if self.sizes is None else self.sizes[chosen],
@@ -127,7 +127,7 @@ def strands_on_guides(
         built = _built(*drawn, chosen, length)
         lengths, offsets = built.lengths, built.offsets
         longest = (1.0 + MOST_CUT) * goals
-        longest[seats.short[todo] | (rounds > STRICT_ROUNDS)] = np.inf
+        longest[seats.cut[todo] | (rounds > STRICT_ROUNDS)] = np.inf
         ready = (lengths >= goals) & (lengths <= longest) | (rounds == MOST_ROUNDS)
         scale = np.clip(
             (1.0 + 0.5 * MOST_CUT * rounds) * goals / np.maximum(lengths, 1e-12), 1.0 / MOST_SCALE, MOST_SCALE
@@ -180,8 +180,7 @@ def canonical_of(
     values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Strands of signals (C, 3) in canonical space, as they are drawn for these seats: points (P, 3), offsets."""
-    dropped = np.where(seats.short, seats.dropped, 0.0)
-    return canonical_strands(values, starts, seats.short & seats.stiff, dropped, seats.wave_turn)
+    return canonical_strands(values, starts, seats.straight, seats.dropped, seats.wave_turn)
 
 
 def canonical_strands(
