@@ -324,18 +324,18 @@ def distributions(
             if len(some) < FEWEST_COMPARED:
                 continue
             strands, on = groom.select(some), guides.select(some)
-            if which == LONGER:
-                new = job.retextured(strands, texture, Length.GUIDE)
-                made_of_seen = measures.strand_signals(measures.without_ends(measures.given_axis(new, on), ends), width)
-                halves = [[real[i] for i in half] for half in (seen, held_out)]
-            else:
-                made_of_seen, halves = [], [[], []]
-                for draw in range(-(-HELD_OUT // len(some))):
-                    new = job.retextured(strands, texture, Length.GUIDE, draw=draw)
-                    made_of_seen += measures.strand_signals(measures.in_world(new), width)
-                    for half, pieces in zip((seen, held_out), halves, strict=True):
+            made_of_seen, pieces = [], [[], []]
+            for draw in range(-(-HELD_OUT // len(some))):
+                new = job.retextured(strands, texture, Length.GUIDE, draw=draw)
+                if which == LONGER:
+                    made = measures.without_ends(measures.given_axis(new, on), ends)
+                else:
+                    made = measures.in_world(new)
+                    for half, cut in zip((seen, held_out), pieces, strict=True):
                         piece = measures.pieces_on_guides(aims.select(half), strands, on, rng)
-                        pieces += measures.strand_signals(measures.in_world(piece), width)
+                        cut += measures.strand_signals(measures.in_world(piece), width)
+                made_of_seen += measures.strand_signals(made, width)
+            halves = [[real[i] for i in half] for half in (seen, held_out)] if which == LONGER else pieces
             distances = measures.wasserstein(made_of_seen, halves[1]), measures.wasserstein(*halves)
             found.setdefault(which, []).append(distances)
     for which, distances in found.items():
