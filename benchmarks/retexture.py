@@ -201,7 +201,7 @@ def measure(job: Job, column: Column) -> None:
     made = measures.strand_signals(measures.mixed(own, given, long), texture.cell_width)
     likeness(made, real, texture, straight, rng, column)
     ends = 0.0 if straight else END_TURNS * texture.turn
-    distributions(job, groom, guides, aims, texture.cell_width, ends, rng, column)
+    distributions(job, groom, guides, aims, real, ends, rng, column)
     in_world(new, targets, texture.cell_width, column)
     axis_wander(texture, usable.lengths, job.seed, rng, column)
 
@@ -295,7 +295,7 @@ def distributions(
     groom: Groom,
     guides: Groom,
     aims: measures.Canonical,
-    cell_width: float,
+    real: list[np.ndarray],
     ends: float,
     rng: np.random.Generator,
     column: Column,
@@ -304,23 +304,24 @@ def distributions(
 
     Means over several halvings. Strands whose guide is shorter than any target are compared as they lie in the world,
     style and all, with pieces of held-out targets as long as they are and set on the same guides; the distance of the
-    halves is then that of such pieces too. Where there are few such guides, they are taken several times. Longer ones
-    are straightened about the input's guide, and compared with whole targets. ``ends`` [cm] of arc, where an axis is
-    known least well, are left out of both, and of pieces; where there are none, strands are straight.
+    halves is then that of such pieces too. None is cut from the targets' ends, ``ends`` [cm] of arc, where an axis is
+    known least well; 0 for straight ones. Where there are few such guides, they are taken several times. Longer strands
+    are straightened about the input's guide, and compared with whole targets.
     """
     kinds = ("kappa", "|tau|") if ends else ("kappa",)
-    aims = measures.without_ends(aims, ends)
-    real = measures.strand_signals(aims, cell_width)
+    inner = measures.without_ends(aims, ends)
     # Cells of one width: wider ones would smooth more.
     width = float(real[0][:, 2].mean() / len(real[0]))
-    longer = style_guides(groom).lengths >= measures.axial_lengths(aims).min()
+    lengths = style_guides(groom).lengths
+    longer = lengths >= measures.axial_lengths(aims).min()
+    shorter = lengths < measures.axial_lengths(inner).min()
     found: dict[str, list[tuple[tuple[float, float], tuple[float, float]]]] = {}
     for halving in range(job.halvings):
         order = np.random.default_rng([job.seed, halving]).permutation(len(real))
         seen, held_out = np.sort(order[: len(real) // 2]), order[len(real) // 2 :]
         chosen = np.sort(rng.permutation(groom.strand_count)[:HELD_OUT])
         texture = job.fit(job.targets.select(seen))
-        for which, some in ((LONGER, chosen[longer[chosen]]), (SHORTER, chosen[~longer[chosen]])):
+        for which, some in ((LONGER, chosen[longer[chosen]]), (SHORTER, chosen[shorter[chosen]])):
             if len(some) < FEWEST_COMPARED:
                 continue
             strands, on = groom.select(some), guides.select(some)
@@ -328,11 +329,11 @@ def distributions(
             for draw in range(-(-HELD_OUT // len(some))):
                 new = job.retextured(strands, texture, Length.GUIDE, draw=draw)
                 if which == LONGER:
-                    made = measures.without_ends(measures.given_axis(new, on), ends)
+                    made = measures.given_axis(new, on)
                 else:
                     made = measures.in_world(new)
                     for half, cut in zip((seen, held_out), pieces, strict=True):
-                        piece = measures.pieces_on_guides(aims.select(half), strands, on, rng)
+                        piece = measures.pieces_on_guides(inner.select(half), strands, on, rng)
                         cut += measures.strand_signals(measures.in_world(piece), width)
                 made_of_seen += measures.strand_signals(made, width)
             halves = [[real[i] for i in half] for half in (seen, held_out)] if which == LONGER else pieces

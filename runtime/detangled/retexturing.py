@@ -36,7 +36,8 @@ CHUNK = 512  # strands made at once: the memory that a groom needs beside its ow
 FEWEST_TURNS = 8.0
 MOST_TURNS = 10_000  # of a strand: 20 m of the tightest curls have about half as many, a wrong unit gives more
 CUT_MARGIN = 1.1
-# Its axis is known least well at its root, which is dropped of any strand of turns enough.
+# An axis is known least well at a strand's ends. Hair shorter than a texture's examples is as their middles are: it
+# loses so much at its root. Longer hair has ends as theirs are read.
 DROPPED_TURNS = 1.5
 _PIECE = 3  # tells what chooses a piece of a strand from other streams of random numbers
 LENGTH_TOLERANCE = 1e-3
@@ -206,6 +207,7 @@ def strands_to_make(
         short, ends = none, np.zeros(len(arcs))
     else:
         short = arcs < least
+        ends[arcs >= texture.median_arc] = 0.0
     spare = texture.shortest_drawn - CUT_MARGIN * arcs - 2.0 * ends
     piece = spare > 0.0
     begin = ends.copy()
