@@ -32,7 +32,7 @@ STRICT_ROUNDS = 3
 MOST_ROUNDS = 12
 MOST_SCALE = 4.0  # of v in one round: a strand that curls back on itself may have hardly any axial length
 OFF_AXIS = 0.1  # an old root further out than this share of the new one's distance has a direction to keep
-STYLELESS_TURNS = 36.0  # a new strand's axis may bend as sharply as that of a coil of so many turns
+STYLELESS_TURNS = 24.0  # a new strand's axis may bend as sharply as that of a coil of so many turns
 
 
 class Length(str, Enum):
