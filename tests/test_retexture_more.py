@@ -203,7 +203,7 @@ def test_more_points_than_are_made_are_refused_before_any_are(
     assert re.search(words, line)
     coily = fit(read(COILY, unit="cm"))
     made = retexture(hair, coily).groom
-    monkeypatch.setattr("detangled.grooming.density.MOST_POINTS", int(0.75 * len(made.points)))
+    monkeypatch.setattr("detangled.grooming.density.MOST_POINTS", int(0.79 * len(made.points)))
     for factor in (1.0, None):
         with pytest.raises(DetangledError, match="lower --density or --max-points"):
             retexture(hair, coily, Options(density=factor))
@@ -241,7 +241,7 @@ def test_a_report_and_a_picture_say_what_was_done(files: tuple[Path, Path], tmp_
     assert facts["points"] == {"before": 320, "after": len(out.points)}
     assert facts["guides"] == {"before": 40, "after": 40}
     assert facts["labels"]["before"]["readings"]["straight"] == 40
-    assert facts["labels"]["after"]["readings"]["read"] >= 38
+    assert facts["labels"]["after"]["readings"]["read"] == 40
     assert facts["arc_length_cm"]["after"]["median"] > 1.5 * facts["arc_length_cm"]["before"]["median"]
     assert facts["penetration"]["of_before"] > 0
     assert set(facts["seconds"]) >= {"read", "texture", "strands", "write", "total"}
