@@ -21,7 +21,7 @@ from detangled.geometry.signal import signals
 from detangled.geometry.spline import chord_lengths, distinct_points, spline_sample, spline_slopes
 from detangled.groom import offsets_of
 from detangled.grooming.guides import style_guides
-from detangled.grooming.placing import place
+from detangled.grooming.placing import place, unbend_roots
 
 JUDGE = Path(__file__).parent / "judge"  # labelers that had no part in making what they judge
 # A guide of 50 cm is then sampled every 0.25 mm: a hundredth of a turn.
@@ -201,7 +201,7 @@ def pieces_on_guides(targets: Canonical, groom: Groom, guides: Groom, rng: np.ra
     What retexturing would give at best: the targets' own texture, seated at the same roots.
     """
     usable = style_guides(groom)
-    roots = usable.canonical()[usable.groom.offsets[:-1]]
+    roots = unbend_roots(groom.points[groom.offsets[:-1]], guides.points, guides.offsets)
     pieces = []
     for length in usable.lengths:
         k = rng.integers(len(targets.offsets) - 1)

@@ -9,8 +9,8 @@ from detangled import Groom, Scope
 from detangled.geometry.arc import arc_positions
 from detangled.geometry.signal import finer_cells
 from detangled.groom import Attribute
-from detangled.grooming.guides import resampled_attributes
-from detangled.grooming.placing import bend_onto, cut, seat
+from detangled.grooming.guides import resampled_attributes, style_guides
+from detangled.grooming.placing import bend_onto, cut, seat, unbend_roots
 from detangled.usable import usable_strands
 
 
@@ -89,6 +89,28 @@ def test_a_strand_keeps_its_frame_to_the_end_of_a_tightly_bent_guide(radius: flo
     # Across the guide's end, by the smooth curve through 12 points.
     assert abs((tip - guide[-1]) @ tangent) < 1e-3 * length
     assert np.linalg.norm(tip - guide[-1]) == pytest.approx(np.hypot(0.5, 0.3), abs=1e-3)
+
+
+def test_a_straightened_coil_leaves_its_root_without_a_kink() -> None:
+    bent = np.linspace(0.0, 3.0, 60)
+    arc = 3.0 * np.stack([np.sin(bent), np.zeros(60), np.cos(bent) - 1.0], axis=1)
+    usable = style_guides(Groom.from_strands([bend_onto(coil(20.0, 90) @ turned(a).T, arc) for a in (0.0, 2.0, 4.0)]))
+    old_roots, offsets = usable.groom.points[usable.groom.offsets[:-1]], usable.groom.offsets
+    roots = unbend_roots(old_roots, usable.points, offsets)
+    assert (np.hypot(roots[:, 0], roots[:, 1]) > 0.25).all()  # half a radius from the guide, of 4.5 points a turn
+    straight = np.linspace(0.0, 1.0, 120)[:, None] * [0.0, 0.0, -10.0]
+    for strand, root in enumerate(roots):
+        guide = usable.points[offsets[strand] : offsets[strand + 1]]
+        made = bend_onto(seat(straight, root, 0.0), guide)
+        np.testing.assert_allclose(made[0], old_roots[strand], atol=2e-9)
+        made[0] = old_roots[strand]
+        # The arc's .33/cm, and what the strand takes to lie down.
+        assert curvatures(made)[:5].max() < 0.4
+
+
+def turned(angle: float) -> np.ndarray:
+    cosine, sine = np.cos(angle), np.sin(angle)
+    return np.array([[cosine, -sine, 0.0], [sine, cosine, 0.0], [0.0, 0.0, 1.0]])
 
 
 def test_finer_cells_keep_each_cells_angle_and_make_no_negative_curvature() -> None:

@@ -27,7 +27,7 @@ from detangled.grooming.guides import StyleGuides, resampled_attributes, style_g
 from detangled.grooming.interpenetration import OnPenetration
 from detangled.grooming.keeping_out import Keeper, Penetration
 from detangled.grooming.lengths import Length, Seats, strands_on_guides
-from detangled.grooming.placing import resample
+from detangled.grooming.placing import resample, unbend_roots
 from detangled.head import Head
 from detangled.usable import check_usable
 
@@ -117,9 +117,10 @@ def retexture(
     goals = _goals(guides, options.length)
     wanted = strands_to_make(texture, goals, options.length, options.seed, guides.kept)
     kept = drawn_arcs(texture, goals, options.length)
+    first_points = guides.groom.offsets[:-1]
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
-        roots=guides.canonical()[guides.groom.offsets[:-1]],
+        roots=unbend_roots(guides.groom.points[first_points], guides.points, guides.groom.offsets),
         turns=turns_about_axis(options.seed, guides.kept),
         goals=goals,
         cut=wanted.cut,

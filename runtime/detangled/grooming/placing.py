@@ -23,6 +23,7 @@ FEWEST_GUIDE_SAMPLES, MOST_GUIDE_SAMPLES = 1024, 4096
 BLEND_TURNS, LEAST_BLEND_TURNS = 0.9, 0.3
 ROOT_RADII = 12.0
 BLEND_SHARE = 0.5
+UNBENT, MOST_UNBENT = 1e-9, 50  # [cm] how nearly a root is unbent, and rounds at most
 
 
 @kernel
@@ -52,42 +53,95 @@ def bend_onto(canonical: NDArray[np.float64], guide: NDArray[np.float64]) -> NDA
 def bend(canonical: NDArray[np.float64], dense: NDArray[np.float64], along: NDArray[np.float64]) -> NDArray[np.float64]:
     """Like ``bend_onto``, of a guide that is finely sampled (m, 3) already, with the arc length at its samples (m,)."""
     frames = guide_frames(dense)
-    m = dense.shape[0] - 1
     n = canonical.shape[0]
     out = np.empty((n, 3))
-    x = np.empty(3)
-    y = np.empty(3)
+    place = np.empty((4, 3))
     k = 0
     for i in range(n):
-        s = -canonical[i, 2]
-        while k < m - 1 and s > along[k + 1]:
-            k += 1
-        while k > 0 and s < along[k]:
-            k -= 1
-        part = (s - along[k]) / (along[k + 1] - along[k])
-        # A frame belongs to the middle of its segment; half a segment at either end is extrapolated.
-        middle = min(max(k + part, 0.0), float(m)) - 0.5
-        below = min(max(int(np.floor(middle)), 0), m - 2)
-        ahead = below + 1
-        inside = middle - below
-        size = 0.0
+        k = _place_at(-canonical[i, 2], dense, along, frames, k, place)
         for c in range(3):
-            x[c] = frames[below, 0, c] * (1.0 - inside) + frames[ahead, 0, c] * inside
-            size += x[c] * x[c]
-        x /= np.sqrt(size)
-        down = 0.0
+            out[i, c] = place[0, c] + canonical[i, 0] * place[1, c] + canonical[i, 1] * place[2, c]
+    return out
+
+
+@kernel
+def _place_at(
+    s: float,
+    dense: NDArray[np.float64],
+    along: NDArray[np.float64],
+    frames: NDArray[np.float64],
+    k: int,
+    place: NDArray[np.float64],
+) -> int:
+    """Fill ``place`` (4, 3): the guide's point at arc length ``s``, and where canonical x, y and -z point there.
+
+    k: the guide's sample to look from; the one that was found is returned.
+    """
+    m = dense.shape[0] - 1
+    while k < m - 1 and s > along[k + 1]:
+        k += 1
+    while k > 0 and s < along[k]:
+        k -= 1
+    part = (s - along[k]) / (along[k + 1] - along[k])
+    # A frame belongs to the middle of its segment; half a segment at either end is extrapolated.
+    middle = min(max(k + part, 0.0), float(m)) - 0.5
+    below = min(max(int(np.floor(middle)), 0), m - 2)
+    ahead = below + 1
+    inside = middle - below
+    size = 0.0
+    for c in range(3):
+        place[0, c] = dense[k, c] + part * (dense[k + 1, c] - dense[k, c])
+        place[1, c] = frames[below, 0, c] * (1.0 - inside) + frames[ahead, 0, c] * inside
+        size += place[1, c] * place[1, c]
+    place[1] /= np.sqrt(size)
+    down = 0.0
+    for c in range(3):
+        place[2, c] = frames[below, 1, c] * (1.0 - inside) + frames[ahead, 1, c] * inside
+        down += place[2, c] * place[1, c]
+    size = 0.0
+    for c in range(3):
+        place[2, c] -= down * place[1, c]
+        size += place[2, c] * place[2, c]
+    place[2] /= np.sqrt(size)
+    place[3] = np.cross(place[2], place[1])
+    return k
+
+
+@kernel
+def unbend_root(root: NDArray[np.float64], guide: NDArray[np.float64]) -> NDArray[np.float64]:
+    """What ``bend_onto`` takes to ``root`` (3,) [cm], a place beside the root of the guide (g, 3): (3,)."""
+    dense, along = dense_guide(guide)
+    frames = guide_frames(dense)
+    canonical = np.zeros(3)
+    place = np.empty((4, 3))
+    missing = np.empty(3)
+    nearest = np.zeros(3)
+    least = np.inf
+    k = 0
+    for _ in range(MOST_UNBENT):
+        k = _place_at(-canonical[2], dense, along, frames, k, place)
         for c in range(3):
-            y[c] = frames[below, 1, c] * (1.0 - inside) + frames[ahead, 1, c] * inside
-            down += y[c] * x[c]
-        size = 0.0
-        for c in range(3):
-            y[c] -= down * x[c]
-            size += y[c] * y[c]
-        y /= np.sqrt(size)
-        for c in range(3):
-            out[i, c] = (
-                dense[k, c] + part * (dense[k + 1, c] - dense[k, c]) + canonical[i, 0] * x[c] + canonical[i, 1] * y[c]
-            )
+            missing[c] = root[c] - place[0, c] - canonical[0] * place[1, c] - canonical[1] * place[2, c]
+        away = np.sqrt((missing**2).sum())
+        if away < least:
+            least = away
+            nearest[:] = canonical
+        if away <= UNBENT:
+            break
+        canonical[0] += (missing * place[1]).sum()
+        canonical[1] += (missing * place[2]).sum()
+        canonical[2] -= (missing * place[3]).sum()
+    return nearest
+
+
+@parallel_kernel
+def unbend_roots(
+    roots: NDArray[np.float64], guides: NDArray[np.float64], offsets: NDArray[np.int64]
+) -> NDArray[np.float64]:
+    """Where roots (S, 3) [cm] lie in the canonical space of their guides (G, 3), by offsets (S + 1,): (S, 3)."""
+    out = np.empty_like(roots)
+    for s in prange(len(roots)):
+        out[s] = unbend_root(roots[s], guides[offsets[s] : offsets[s + 1]])
     return out
 
 
