@@ -7,6 +7,7 @@ from dataclasses import dataclass
 import numpy as np
 from numpy.typing import NDArray
 
+from detangled.grooming.lengths import STIFF_TURNS, TWISTED_TURNS, Axis
 from detangled.settling import Settling
 from detangled.shape import Shape
 
@@ -21,8 +22,9 @@ class Texture:
     arc_per_axis: arc length per length along the axis, in the median.
     radius, wavelength: medians by winding [cm]; the wavelength of straight hair is NaN.
     both_hands: whether every other new strand, at random, is mirrored.
-    stiff: whether the axes of short strands are taken to be straight, as a few turns do not tell; not where twists bend
-    them. waves: whether the strands are waves too weak for a centreline, whose axis is the mean over a turn.
+    stiff: whether axes hardly bend, and those of short strands are taken to be straight, as a few turns do not tell;
+    not where twists bend them. waves: whether the strands are waves too weak for a centreline, whose axis is the mean
+    over a turn.
     shape: how radius and wavelength run from root to tip, where they are asked to; a strand is given it once it is
     drawn. All else is said of even strands.
     fewest_cells: of the grid of any strand.
@@ -53,9 +55,9 @@ class Texture:
         return self.turn if self.shape is None else self.turn * self.shape.finest
 
     @property
-    def wave_turn(self) -> float:
-        """The arc length [cm] of a turn where the strands are weak waves, else 0."""
-        return self.turn if self.waves else 0.0
+    def axis(self) -> Axis:
+        """How the axes of new strands are found."""
+        return Axis(STIFF_TURNS if self.stiff else TWISTED_TURNS, self.turn if self.waves else 0.0)
 
     @property
     def shortest_drawn(self) -> float:

@@ -89,7 +89,7 @@ def _drawn(
 ) -> tuple[Drawn, NDArray[np.float64]]:
     """Strands, and how often they twist where that is read, (S,)."""
     values, starts = synthesise(texture, what.arcs, what.names, seed, steps, progress, engine)
-    points, offsets = canonical_strands(values, starts, what.straight, what.dropped, texture.wave_turn)
+    points, offsets = canonical_strands(values, starts, what.straight, what.dropped, texture.axis)
     drawn = Drawn(values, starts, points, offsets, np.ones((len(what.arcs), 2)))
     if texture.settling is None:
         return drawn, np.full(len(what.arcs), np.nan)

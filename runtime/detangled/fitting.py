@@ -24,7 +24,7 @@ from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import style_guides
-from detangled.grooming.lengths import canonical_strands
+from detangled.grooming.lengths import Axis, canonical_strands
 from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
@@ -107,7 +107,7 @@ def _as_made(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
     count, cells, _ = values.shape
     starts = np.arange(count + 1) * cells
     points, offsets = canonical_strands(
-        values.reshape(-1, 3), starts, straight=np.zeros(count, dtype=np.bool_), dropped=np.zeros(count), wave_turn=0.0
+        values.reshape(-1, 3), starts, straight=np.zeros(count, dtype=np.bool_), dropped=np.zeros(count), axis=Axis()
     )
     sparse = offsets_of(np.ceil(POINTS_PER_TURN * values[:, :, 2].mean(axis=1) / turn).astype(np.int64) + 1)
     return signals(resample(points, offsets, sparse), sparse, starts).reshape(values.shape)

@@ -126,7 +126,7 @@ def retexture(
         cut=wanted.cut,
         straight=wanted.straight,
         dropped=wanted.dropped,
-        wave_turn=texture.wave_turn,
+        axis=texture.axis,
         shape=texture.shape,
         room=None if keeper is None else keeper.room,
     )

@@ -7,7 +7,7 @@ and cut.
 
 from __future__ import annotations
 
-from dataclasses import dataclass
+from dataclasses import dataclass, field
 from enum import Enum
 from typing import NamedTuple
 
@@ -32,7 +32,9 @@ STRICT_ROUNDS = 3
 MOST_ROUNDS = 12
 MOST_SCALE = 4.0  # of v in one round: a strand that curls back on itself may have hardly any axial length
 OFF_AXIS = 0.1  # an old root further out than this share of the new one's distance has a direction to keep
-STYLELESS_TURNS = 24.0  # a new strand's axis may bend as sharply as that of a coil of so many turns
+# A new strand's axis may bend as sharply as that of a coil of so many turns. To unbend a stiffer one adds less torsion;
+# twists turn an axis more.
+STIFF_TURNS, TWISTED_TURNS = 36.0, 24.0
 
 
 class Length(str, Enum):
@@ -43,6 +45,18 @@ class Length(str, Enum):
 
 
 @dataclass(frozen=True)
+class Axis:
+    """How the axes of new strands are found.
+
+    bends_over: an axis may bend as sharply as that of a coil of so many turns. wave_turn: arc length [cm] of a turn
+    where the strands are weak waves, whose axes are means over it; else 0.
+    """
+
+    bends_over: float = STIFF_TURNS
+    wave_turn: float = 0.0
+
+
+@dataclass(frozen=True)
 class Seats:
     """Where new strands go.
 
@@ -50,8 +64,8 @@ class Seats:
     (S,) [rad], by how much a strand is turned about its axis where its root lies on the guide. goals: (S,) [cm],
     lengths. cut: (S,), strands that are made too long and cut. straight: (S,), those whose axes are taken to be
     straight: a few turns do not say how an axis bends, and to unbend what was found of it would add torsion. dropped:
-    (S,), arc lengths [cm] that strands lose at the root. wave_turn: arc length [cm] of a turn where the strands are
-    weak waves, else 0. shape: given to canonical strands. sizes: (S, 2), factors that radius and wavelength of
+    (S,), arc lengths [cm] that strands lose at the root. axis: how theirs are found. shape: given to canonical strands.
+    sizes: (S, 2), factors that radius and wavelength of
     canonical strands are given first; None for none. room: what keeps the strands out of a head; None where there is
     none.
     """
@@ -63,7 +77,7 @@ class Seats:
     cut: NDArray[np.bool_]
     straight: NDArray[np.bool_]
     dropped: NDArray[np.float64]
-    wave_turn: float = 0.0
+    axis: Axis = field(default_factory=Axis)
     shape: Shape | None = None
     sizes: NDArray[np.float64] | None = None
     room: Room | None = None
@@ -78,7 +92,7 @@ class Seats:
             self.cut[chosen],
             self.straight[chosen],
             self.dropped[chosen],
-            self.wave_turn,
+            self.axis,
             self.shape,
             None if self.sizes is None else self.sizes[chosen],
             self.room,
@@ -180,7 +194,7 @@ def canonical_of(
     values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Strands of signals (C, 3) in canonical space, as they are drawn for these seats: points (P, 3), offsets."""
-    return canonical_strands(values, starts, seats.straight, seats.dropped, seats.wave_turn)
+    return canonical_strands(values, starts, seats.straight, seats.dropped, seats.axis)
 
 
 def canonical_strands(
@@ -188,19 +202,18 @@ def canonical_strands(
     starts: NDArray[np.int64],
     straight: NDArray[np.bool_],
     dropped: NDArray[np.float64],
-    wave_turn: float,
+    axis: Axis,
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Strands of signals (C, 3) in canonical space, finely sampled: points (P, 3) [cm] and offsets (S + 1,).
 
     straight: (S,), those whose axes are taken to be straight. dropped: (S,), arc lengths [cm] that are lost at roots.
-    wave_turn: arc length [cm] of a turn where the strands are weak waves, whose axes are means over it; else 0.
     """
     offsets = offsets_of(curve_counts(values, starts))
     points = curves(values, starts, offsets)
-    if wave_turn > 0.0:
-        axes = wave_axes(points, offsets, np.full(len(straight), wave_turn))
+    if axis.wave_turn > 0.0:
+        axes = wave_axes(points, offsets, np.full(len(straight), axis.wave_turn))
     else:
-        axes, _ = centerlines(points, offsets, STYLELESS_TURNS)
+        axes, _ = centerlines(points, offsets, axis.bends_over)
         axes = _straightened(axes, offsets, straight)
     canonical = to_canonical(points, axes, offsets)
     return _without_roots(canonical, offsets, dropped)
