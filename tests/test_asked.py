@@ -20,6 +20,7 @@ from detangled import draws
 from detangled.archives import read_arrays, write_arrays
 from detangled.errors import DetangledError, ModelError, TextureError
 from detangled.fitted import FittedTexture, load_texture, save_texture
+from detangled.fitting import fit
 from detangled.formats import read, write
 from detangled.from_numbers import Asked, asked, asked_texture
 from detangled.generation import APART, IN_ROW, generate, side_by_side
@@ -484,3 +485,15 @@ def test_what_cannot_be_made_is_wrong_usage_told_before_a_groom_is_read(
         assert len(lines) == 1
         assert words in lines[0]
     assert list(tmp_path.iterdir()) == []
+
+
+def test_a_texture_fitted_to_twisted_strands_is_as_wide_about_its_guides_as_they_are() -> None:
+    # They are a quarter too wide where their axes may not bend at twists.
+    texture = fit(generate(asked_texture(asked(hair_type("4C"))), 16, 25.0, seed=3))
+    guide = np.linspace(0.0, 1.0, 64)[:, None] * [0.0, 0.0, -15.0]
+    guides = [guide + np.array([3.0 * k, 0.0, 0.0]) for k in range(24)]
+    made = retexture(Groom.from_strands(guides), texture).groom
+    about = made.points - np.repeat(made.points[made.offsets[:-1]], made.point_counts, axis=0)
+    radius, wavelength = winding(about, made.offsets)
+    assert abs(np.median(radius) / texture.radius - 1.0) < 0.1
+    assert abs(np.median(wavelength) / texture.wavelength - 1.0) < 0.1

@@ -35,6 +35,8 @@ COARSE_CELLS = 512  # of a strand whose turns are only to be counted
 # Pairs of strands so many times as long as the targets that are drawn to see how far they are off.
 CALIBRATED_BY = (1.0, 24), (LONGER, 10)
 CALIBRATION_SEED = 1 << 31
+# In nine tenths of strands that do not twist torsion is beyond its median by at most this share of median curvature.
+MOST_UNTWISTED = 0.5
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
 
@@ -154,7 +156,14 @@ def measured_canonical(
         arc_per_axis=float(np.median(arcs / np.maximum(lengths, 1e-12))),
         radius=float(np.median(radius)),
         wavelength=float(np.nanmedian(wavelength)) if np.isfinite(wavelength).any() else float("nan"),
+        stiff=_untwisted(values),
     )
+
+
+def _untwisted(values: NDArray[np.float64]) -> bool:
+    """Whether strands of signals (C, 3) have hardly any twists, which would turn their axes."""
+    usual, high = np.quantile(np.abs(values[:, 1]), [0.5, 0.9])
+    return bool(high - usual <= MOST_UNTWISTED * np.median(values[:, 0]))
 
 
 def _arc_of_a_turn(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> float:
