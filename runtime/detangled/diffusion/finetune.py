@@ -22,8 +22,9 @@ MOST_THREADS = 2
 MIRRORED_FROM = 0.1  # share of the strands that curl the rarer way
 FEWEST_TO_HOLD_OUT = 6
 HELD_OUT_SHARE = 6  # one strand in so many is held out, to see when to stop
-EVALUATED_BATCHES = 4
-LEAST_RATE = 0.02  # of the learning rate, at the end of its cosine
+EVALUATED_BATCHES = 8
+LEAST_RATE = 0.02  # of the learning rate, at the end of its fall
+FALL_SHARE = 0.4  # of the most steps
 # A new strand may be longer than those shown: so often they pass for a part of one, at the least such a share of it.
 PART_OF_LONGER = 0.5
 LEAST_PART = 0.05
@@ -37,16 +38,16 @@ class FineTuning:
     """How a network is trained on a few strands.
 
     most_steps: where it stops at the latest. few_steps: how many where there are too few strands to hold any out.
-    learning_rate: its highest; it falls by a cosine. patience: evaluations without a gain of ``least_gain`` after
-    which it stops. average: decay of the weights' mean.
+    learning_rate: its highest. In the last steps, a share FALL_SHARE of the most, it falls by a cosine: these come
+    sooner after ``patience`` evaluations without a gain of ``least_gain``. average: decay of the weights' mean.
     """
 
-    most_steps: int = 1600
+    most_steps: int = 1100
     few_steps: int = 600
     learning_rate: float = 3e-4
     warm_up: int = 20
     evaluate_every: int = 100
-    patience: int = 3
+    patience: int = 2
     least_gain: float = 0.005
     average: float = 0.99
     seed: int = 0
@@ -86,17 +87,20 @@ def fine_tune(
     shown, held_out = _split(strands, options.seed)
     mirror = whitening if curl_both_ways(strands, whitening) else None
     most = options.most_steps if held_out else options.few_steps
-    trainer = _Trainer(step_model, start, options, most, min(threads, MOST_THREADS))
+    trainer = _Trainer(step_model, start, options, min(threads, MOST_THREADS))
+    fall = int(FALL_SHARE * most)
     draws = [
         draw_windows(held_out, step_model, np.random.default_rng([options.seed, 1, k]), mirror)
         for k in range(EVALUATED_BATCHES if held_out else 0)
     ]
     curve: list[tuple[int, float, float]] = []
     losses: list[float] = []
-    best, best_loss, waited, best_step = trainer.average.copy(), np.inf, 0, 0
-    for step in range(1, most + 1):
+    best, best_loss, waited, gained, best_step = trainer.average.copy(), np.inf, 0, np.inf, 0
+    step = 0
+    while step < most:
+        step += 1
         batch = draw_windows(shown, step_model, np.random.default_rng([options.seed, 0, step]), mirror)
-        losses.append(trainer.train(batch, step))
+        losses.append(trainer.train(batch, step, min(1.0, (most + 1 - step) / (fall + 1))))
         if progress is not None:
             progress(step, most, losses[-1])
         if step % options.evaluate_every and step != most:
@@ -104,12 +108,12 @@ def fine_tune(
         score = float(np.mean([trainer.evaluate(batch) for batch in draws])) if draws else float("nan")
         curve.append((step, float(np.mean(losses)), score))
         losses = []
-        if not draws or score < best_loss * (1.0 - options.least_gain):
-            best, best_loss, waited, best_step = trainer.average.copy(), score, 0, step
-        else:
-            waited += 1
-            if waited >= options.patience:
-                break
+        if not draws or score < best_loss:
+            best, best_loss, best_step = trainer.average.copy(), score, step
+        waited = 0 if score < gained * (1.0 - options.least_gain) else waited + 1
+        gained = min(gained, score)
+        if draws and waited >= options.patience:
+            most = min(most, step + fall)
     with np.errstate(over="ignore"):
         weights = best.astype(np.float16)
     if best_step < min(most, 1) or not np.isfinite(weights).all():
@@ -120,19 +124,18 @@ def fine_tune(
 class _Trainer:
     """Weights in training, the optimiser's moments and the weights' running mean, all (P,) float32."""
 
-    def __init__(self, model: Model, start: NDArray[np.float16], options: FineTuning, most: int, threads: int) -> None:
+    def __init__(self, model: Model, start: NDArray[np.float16], options: FineTuning, threads: int) -> None:
         self._session = model.session(threads)
         self._options = options
-        self._most = most
         self.weights = start.astype(np.float32)
         self.first_moment = np.zeros_like(self.weights)
         self.second_moment = np.zeros_like(self.weights)
         self.average = self.weights.copy()
 
-    def train(self, batch: dict[str, NDArray[np.float32]], step: int) -> float:
-        """One step, counted from 1; the loss before it."""
+    def train(self, batch: dict[str, NDArray[np.float32]], step: int, left: float) -> float:
+        """One step, counted from 1; the loss before it. left: the share of the learning rate's fall that is to come."""
         rise = min(1.0, step / max(self._options.warm_up, 1))
-        fall = 0.5 * (1.0 + np.cos(np.pi * (step - 1) / self._most))
+        fall = 0.5 * (1.0 - np.cos(np.pi * left))
         rate = self._options.learning_rate * rise * (LEAST_RATE + (1.0 - LEAST_RATE) * fall)
         self.weights, self.first_moment, self.second_moment, loss = self._run(self.weights, batch, step, rate)
         # Early means would remember the start for long.
