@@ -35,12 +35,14 @@ import numpy as np
 import detangled
 import measures
 from detangled import Groom, Length, Options
+from detangled.diffusion.sampler import DEFAULT_STEPS
+from detangled.drawing import ToDraw, draw_strands
+from detangled.engines import engine_of
 from detangled.fitted import FINETUNE, METHODS, FittedTexture
 from detangled.geometry.signal import curve_counts, curves
 from detangled.geometry.winding import winding
 from detangled.groom import offsets_of
 from detangled.grooming.guides import style_guides
-from detangled.synthesis import synthesise
 from detangled.units import CM_PER_UNIT
 
 GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parents[2] / "shared" / "grooms"))
@@ -370,11 +372,13 @@ def axis_wander(
 ) -> None:
     """Centreline arc over chord of strands as they are synthesised, before any guide, against the targets' rebuilt."""
     chosen = np.sort(rng.permutation(len(guide_lengths))[:SAMPLE])
-    least = min(FEWEST_TURNS * texture.turn, texture.median_arc)
+    least = max(min(FEWEST_TURNS * texture.turn, texture.median_arc), texture.shortest_drawn)
     arcs = np.maximum(guide_lengths[chosen] * texture.arc_per_axis, least)
-    made = synthesise(texture, arcs, chosen.astype(np.int64), seed)
+    none = np.zeros(len(arcs))
+    what = ToDraw(arcs, arcs, chosen.astype(np.int64), none.astype(np.bool_), none)
+    made = draw_strands(texture, what, seed, DEFAULT_STEPS, None, engine_of(texture))
     found = []
-    for values, starts in ((texture.signals, texture.starts), made):
+    for values, starts in ((texture.signals, texture.starts), (made.values, made.starts)):
         offsets = offsets_of(curve_counts(values, starts))
         found.append(measures.wander(curves(values, starts, offsets), offsets))
     target, new = (np.percentile(w, [50, 90]) for w in found)

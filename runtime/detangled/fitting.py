@@ -16,6 +16,7 @@ from detangled.diffusion.calibration import LONGER, calibration
 from detangled.diffusion.finetune import FineTuning, StepProgress, curl_both_ways, fine_tune
 from detangled.diffusion.sampler import DEFAULT_STEPS
 from detangled.diffusion.whitening import Whitening
+from detangled.drawing import off_by_wander
 from detangled.engines import NetworkEngine
 from detangled.errors import ModelError, TextureError
 from detangled.fitted import FINETUNE, METHODS, PATCHES, FittedTexture
@@ -24,7 +25,7 @@ from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import style_guides
-from detangled.grooming.lengths import Axis, canonical_strands
+from detangled.grooming.lengths import Straightened, canonical_strands
 from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
@@ -96,23 +97,35 @@ def _calibration(texture: FittedTexture) -> NDArray[np.float64]:
         # Of opposite noise come opposite chances: fewer strands tell as much.
         noise = np.random.default_rng(CALIBRATION_SEED).standard_normal((pairs, 3, cells))
         drawn = engine.sampled(np.concatenate([noise, -noise]), arcs, DEFAULT_STEPS)
+        drawn = drawn[_let_pass(texture, engine.finished(drawn, arcs))]
 
         def as_made(channels: NDArray[np.float64], arcs: NDArray[np.float64] = arcs) -> NDArray[np.float64]:
-            return whitening.whiten(_as_made(engine.finished(channels, arcs), texture.turn))
+            return whitening.whiten(_as_made(engine.finished(channels, arcs[: len(channels)]), texture))
 
         levels.append(calibration(drawn, wanted, as_made, mirrored))
     return np.stack(levels)
 
 
-def _as_made(values: NDArray[np.float64], turn: float) -> NDArray[np.float64]:
+def _let_pass(texture: FittedTexture, values: NDArray[np.float64]) -> NDArray[np.int64]:
+    """Which of the strands of signals (B, L, 3) are not drawn anew, or hardly ever."""
+    off = off_by_wander(texture, _straightened(texture, values).wander)
+    return np.flatnonzero(~(off > max(1.0, float(np.median(off)))))
+
+
+def _as_made(values: NDArray[np.float64], texture: FittedTexture) -> NDArray[np.float64]:
     """Signals (B, L, 3) of strands made of such signals, measured as targets are: straight, of POINTS_PER_TURN."""
+    made = _straightened(texture, values)
+    counts = np.ceil(POINTS_PER_TURN * values[:, :, 2].mean(axis=1) / texture.turn).astype(np.int64) + 1
+    points = resample(made.points, made.offsets, offsets_of(counts))
+    starts = np.arange(len(values) + 1) * values.shape[1]
+    return signals(points, offsets_of(counts), starts).reshape(values.shape)
+
+
+def _straightened(texture: FittedTexture, values: NDArray[np.float64]) -> Straightened:
+    """Strands of signals (B, L, 3) as they are made, of their whole lengths."""
     count, cells, _ = values.shape
-    starts = np.arange(count + 1) * cells
-    points, offsets = canonical_strands(
-        values.reshape(-1, 3), starts, straight=np.zeros(count, dtype=np.bool_), dropped=np.zeros(count), axis=Axis()
-    )
-    sparse = offsets_of(np.ceil(POINTS_PER_TURN * values[:, :, 2].mean(axis=1) / turn).astype(np.int64) + 1)
-    return signals(resample(points, offsets, sparse), sparse, starts).reshape(values.shape)
+    starts, none = np.arange(count + 1) * cells, np.zeros(count, dtype=np.bool_)
+    return canonical_strands(values.reshape(-1, 3), starts, none, np.zeros(count), texture.axis)
 
 
 def measured(groom: Groom, grid: Grid) -> FittedTexture:

@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.geometry.arc import arc_positions
+from detangled.geometry.arc import arc_lengths, arc_positions
 from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import curve_counts, curves
 from detangled.geometry.waves import wave_axes
@@ -108,6 +108,17 @@ class Built(NamedTuple):
     lengths: NDArray[np.float64]
 
 
+class Straightened(NamedTuple):
+    """Strands in canonical space, finely sampled: points (P, 3) [cm] and offsets (S + 1,).
+
+    wander: (S,), arc length over chord of the axes that they had.
+    """
+
+    points: NDArray[np.float64]
+    offsets: NDArray[np.int64]
+    wander: NDArray[np.float64]
+
+
 class Seated(NamedTuple):
     """World-space strands (P, 3) [cm], finely sampled, their offsets (S + 1,), and how much of its length each has."""
 
@@ -125,7 +136,7 @@ def strands_on_guides(
 ) -> Seated:
     """Build strands of signals (C, 3), those of strand s from row starts[s] on, on their guides at their lengths.
 
-    drawn: what ``canonical_of`` makes of these, points (P, 3) [cm] and offsets (S + 1,).
+    drawn: what ``canonical_strands`` makes of these, points (P, 3) [cm] and offsets (S + 1,).
     """
     values = values.copy()
     count = len(starts) - 1
@@ -137,7 +148,8 @@ def strands_on_guides(
         goals = seats.goals[todo]
         chosen = seats.select(todo)
         if rounds > 1:
-            drawn = canonical_of(*_rows(values, starts, todo), chosen)
+            rows = _rows(values, starts, todo)
+            drawn = canonical_strands(*rows, chosen.straight, chosen.dropped, chosen.axis)[:2]
         built = _built(*drawn, chosen, length)
         lengths, offsets = built.lengths, built.offsets
         longest = (1.0 + MOST_CUT) * goals
@@ -190,21 +202,14 @@ def _places(
     return seats.guides.points, seats.guides.offsets, seats.roots, angles
 
 
-def canonical_of(
-    values: NDArray[np.float64], starts: NDArray[np.int64], seats: Seats
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Strands of signals (C, 3) in canonical space, as they are drawn for these seats: points (P, 3), offsets."""
-    return canonical_strands(values, starts, seats.straight, seats.dropped, seats.axis)
-
-
 def canonical_strands(
     values: NDArray[np.float64],
     starts: NDArray[np.int64],
     straight: NDArray[np.bool_],
     dropped: NDArray[np.float64],
     axis: Axis,
-) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
-    """Strands of signals (C, 3) in canonical space, finely sampled: points (P, 3) [cm] and offsets (S + 1,).
+) -> Straightened:
+    """Strands of signals (C, 3), strand s from row starts[s] on, in canonical space.
 
     straight: (S,), those whose axes are taken to be straight. dropped: (S,), arc lengths [cm] that are lost at roots.
     """
@@ -215,8 +220,10 @@ def canonical_strands(
     else:
         axes, _ = centerlines(points, offsets, axis.bends_over)
         axes = _straightened(axes, offsets, straight)
+    chords = np.linalg.norm(axes[offsets[1:] - 1] - axes[offsets[:-1]], axis=1)
+    wander = arc_lengths(axes, offsets) / np.maximum(chords, 1e-12)
     canonical = to_canonical(points, axes, offsets)
-    return _without_roots(canonical, offsets, dropped)
+    return Straightened(*_without_roots(canonical, offsets, dropped), wander)
 
 
 def resized(points: NDArray[np.float64], offsets: NDArray[np.int64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:

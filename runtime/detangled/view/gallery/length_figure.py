@@ -45,7 +45,7 @@ def faster(groom: Groom, texture: Texture, times: float) -> Groom:
     values[:, 2] *= times
     count = groom.strand_count
     straight, dropped = np.zeros(count, dtype=np.bool_), np.zeros(count)
-    points, offsets = canonical_strands(values, starts, straight, dropped, texture.axis)
+    points, offsets, _ = canonical_strands(values, starts, straight, dropped, texture.axis)
     return Groom(points, offsets, up="z")
 
 
