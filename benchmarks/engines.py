@@ -3,8 +3,8 @@
 python benchmarks/engines.py [--steps 100,300] [--strands 12] [--picture OUT.png]
 
 Twelve strands of coily_swatch.obj are fitted by both engines, and two of them as in the paper's figure of small
-inputs. New strands are drawn as long as the targets and measured where they are made, in canonical space: radius and
-wavelength by winding, Wasserstein-1 of curvature and torsion to the strands of the swatch that were not shown (over
+inputs. New strands are drawn as long as the targets and measured about the axes found in them, as targets are: radius
+and wavelength by winding, Wasserstein-1 of curvature and torsion to the strands of the swatch that were not shown (over
 the distance of the shown ones to those), and how near the nearest target is, over how near targets are to each other.
 Then how a fit grows with its steps, and the training loss of the default. Kernels are compiled before. --picture draws
 targets and new strands beside each other. The swatch is looked for in DETANGLED_GROOMS, else in shared/grooms beside
@@ -28,12 +28,9 @@ from detangled import Groom
 from detangled.diffusion.finetune import FineTuning
 from detangled.diffusion.whitening import Whitening
 from detangled.fitted import FINETUNE, METHODS, FittedTexture
-from detangled.geometry.centerline import centerlines
-from detangled.geometry.signal import curve_counts, curves
+from detangled.generation import generate
 from detangled.geometry.winding import winding
-from detangled.groom import offsets_of
-from detangled.grooming.guides import style_guides, to_canonical
-from detangled.synthesis import synthesise
+from detangled.grooming.guides import style_guides
 
 GROOMS = Path(os.environ.get("DETANGLED_GROOMS", Path(__file__).resolve().parents[2] / "shared" / "grooms"))
 SHOWN, FEW = 12, 2
@@ -132,11 +129,7 @@ def drawn(texture: FittedTexture) -> measures.Canonical:
     arcs = np.array(
         [texture.signals[a:b, 2].mean() for a, b in zip(texture.starts[:-1], texture.starts[1:], strict=True)]
     )
-    values, starts = synthesise(texture, np.resize(arcs, NEW), np.arange(NEW), SEED)
-    offsets = offsets_of(curve_counts(values, starts))
-    points = curves(values, starts, offsets)
-    axes, _ = centerlines(points, offsets)
-    return measures.Canonical(to_canonical(points, axes, offsets), offsets)
+    return measures.own_axis(generate(texture, NEW, np.resize(arcs, NEW), SEED))
 
 
 def standing(groom: Groom, name: str) -> tuple[Groom, str]:

@@ -17,8 +17,6 @@ TURNED = 1.5  # [rad] about the tangent, halfway down: it tilts the axis by abou
 class OftenBent:
     """Draws helices, of which two in three are turned halfway down, each as its own random numbers say."""
 
-    shown = 0
-
     def draw(
         self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
     ) -> NDArray[np.float64]:
@@ -46,7 +44,7 @@ def texture(stiff: bool) -> Texture:
 def bent(stiff: bool, names: list[int]) -> NDArray[np.bool_]:
     count = len(names)
     arcs, none = np.full(count, TURNS * TURN), np.zeros(count)
-    what = ToDraw(arcs, arcs, np.array(names), none.astype(np.bool_), none)
+    what = ToDraw(arcs, arcs, np.array(names), cut=none > 0.0, straight=none > 0.0, dropped=none)
     drawn = draw_strands(texture(stiff), what, 5, 1, None, OftenBent())
     found = drawn.values[:, 1].reshape(count, -1).max(axis=1) > 2.0
     if stiff:

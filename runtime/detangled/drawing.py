@@ -30,19 +30,26 @@ class ToDraw:
     """What strands (S,) are to be drawn.
 
     arcs: arc lengths [cm]. kept: of them, from the root, as it will be written. names: numbers that tell them apart.
-    straight: whose axes are taken to be straight. dropped: arc lengths [cm] that are lost at the roots.
+    cut: which will be cut to length instead of scaled. straight: whose axes are taken to be straight. dropped: arc
+    lengths [cm] that are lost at the roots.
     """
 
     arcs: NDArray[np.float64]
     kept: NDArray[np.float64]
     names: NDArray[np.int64]
+    cut: NDArray[np.bool_]
     straight: NDArray[np.bool_]
     dropped: NDArray[np.float64]
 
     def select(self, chosen: NDArray[np.int64]) -> ToDraw:
         """These of them alone."""
         return ToDraw(
-            self.arcs[chosen], self.kept[chosen], self.names[chosen], self.straight[chosen], self.dropped[chosen]
+            self.arcs[chosen],
+            self.kept[chosen],
+            self.names[chosen],
+            self.cut[chosen],
+            self.straight[chosen],
+            self.dropped[chosen],
         )
 
 

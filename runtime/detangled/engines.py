@@ -43,9 +43,7 @@ Guided = Callable[[NDArray[np.float64], SamplerStep], NDArray[np.float64]]
 
 
 class Engine(Protocol):
-    """Draws strands of one texture. shown: cells of the shortest strands that it draws whole."""
-
-    shown: int
+    """Draws strands of one texture."""
 
     def draw(
         self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
@@ -68,7 +66,6 @@ class PatchEngine:
 
     def __init__(self, texture: FittedTexture) -> None:
         self._texture = texture
-        self.shown = 0
 
     def draw(
         self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
@@ -104,7 +101,7 @@ class PatchEngine:
 class NetworkEngine:
     """The network that was trained on a texture's examples; what it draws is calibrated to them.
 
-    To it short hair is a piece, from anywhere, of a strand as long as those it was shown.
+    Strands much shorter than those it was shown are to be cut out of longer ones: it knows no others.
     """
 
     def __init__(self, texture: FittedTexture) -> None:
@@ -113,13 +110,13 @@ class NetworkEngine:
             raise ModelError(f"the texture was fitted with another network than {model.path}: fit it again")
         self._network = NetworkDenoiser(model, texture.weights, thread_count())
         self._texture = texture
-        self.shown = int(texture.grid_cells(np.array([texture.median_arc]))[0])
+        self._shown = int(texture.grid_cells(np.array([texture.median_arc]))[0])
 
     def draw(
         self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int
     ) -> NDArray[np.float64]:
         channels = self.sampled(_noise(generators, cells), arcs, steps)
-        return self.finished(calibrated(channels, for_length(self._texture.calibration, cells / self.shown)), arcs)
+        return self.finished(calibrated(channels, for_length(self._texture.calibration, cells / self._shown)), arcs)
 
     def sampled(self, noise: NDArray[np.float64], arcs: NDArray[np.float64], steps: int) -> NDArray[np.float64]:
         """Whitened channels (B, 3, L) of strands, not yet calibrated, of as much noise."""
@@ -146,7 +143,6 @@ class NumberedEngine:
         self._model = load_model(DENOISER)
         self._network = NetworkDenoiser(self._model, threads=thread_count())
         self._guidance = None if texture.method == CONDITIONED else _guidance(texture)
-        self.shown = 0
 
     def draw(
         self, cells: int, arcs: NDArray[np.float64], generators: list[np.random.Generator], steps: int

@@ -3,6 +3,7 @@
 from __future__ import annotations
 
 from collections.abc import Callable
+from dataclasses import replace
 from itertools import pairwise
 
 import numpy as np
@@ -11,7 +12,7 @@ from scipy.spatial.transform import Rotation
 
 from detangled.base_texture import Texture
 from detangled.diffusion.sampler import DEFAULT_STEPS
-from detangled.drawing import ToDraw, draw_strands
+from detangled.drawing import draw_strands
 from detangled.engines import engine_of
 from detangled.errors import TextureError
 from detangled.fitting import POINTS_PER_TURN
@@ -50,16 +51,14 @@ def generate(
         raise TextureError(f"generate at least one strand, with a length for each or one for all, not {given.shape}")
     lengths = np.array(np.broadcast_to(given, (count,)))
     check_points(count, points_to_make(texture, lengths, Length.STRAND), "--count or --length")
-    kept = drawn_arcs(texture, lengths, Length.STRAND)
     spare = SPARE if texture.settling is None else SPARE * MOST_RESIZED
     wanted = strands_to_make(texture, lengths * spare, Length.STRAND, seed, np.arange(count))
+    wanted = replace(wanted, kept=drawn_arcs(texture, lengths, Length.STRAND))
     engine = engine_of(texture)
     strands: list[NDArray[np.float64]] = []
     for first in range(0, count, CHUNK):
-        part = slice(first, min(first + CHUNK, count))
-        names = np.arange(part.start, part.stop)
-        what = ToDraw(wanted.arcs[part], kept[part], names, wanted.straight[part], wanted.dropped[part])
-        drawn = draw_strands(texture, what, seed, steps, progress, engine)
+        part = np.arange(first, min(first + CHUNK, count))
+        drawn = draw_strands(texture, wanted.select(part), seed, steps, progress, engine)
         fine, offsets = resized(drawn.points, drawn.offsets, drawn.sizes), drawn.offsets
         if texture.shape is not None:
             fine = texture.shape.given_to(fine, offsets, lengths[part], False)
@@ -69,7 +68,7 @@ def generate(
         points = resample(fine, offsets, sparse)
         # Points on a curve say a little less of its length than it has.
         scale = lengths[part] / arc_lengths(points, sparse)
-        turned = Rotation.from_euler("z", turns_about_axis(seed, names)[:, None]).as_matrix() * scale[:, None, None]
+        turned = Rotation.from_euler("z", turns_about_axis(seed, part)[:, None]).as_matrix() * scale[:, None, None]
         strands.extend(points[a:b] @ turn.T for (a, b), turn in zip(pairwise(sparse), turned, strict=True))
     return Groom.from_strands(strands, up="z")
 

@@ -8,7 +8,6 @@ from __future__ import annotations
 
 from collections.abc import Callable
 from dataclasses import dataclass, field, replace
-from typing import NamedTuple
 
 import numpy as np
 from numpy.typing import ArrayLike, NDArray
@@ -116,7 +115,6 @@ def retexture(
         guides = guides if keeper is None else keeper.turned(guides)
     goals = _goals(guides, options.length)
     wanted = strands_to_make(texture, goals, options.length, options.seed, guides.kept)
-    kept = drawn_arcs(texture, goals, options.length)
     first_points = guides.groom.offsets[:-1]
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
@@ -141,9 +139,7 @@ def retexture(
     order = np.argsort(texture.grid_cells(wanted.arcs), kind="stable")
     for first in range(0, len(order), CHUNK):
         members = np.sort(order[first : first + CHUNK])
-        names = guides.kept[members]
-        what = ToDraw(wanted.arcs[members], kept[members], names, wanted.straight[members], wanted.dropped[members])
-        drawn = draw_strands(texture, what, options.seed, options.steps, progress, engine)
+        drawn = draw_strands(texture, wanted.select(members), options.seed, options.steps, progress, engine)
         here = replace(seats.select(members), sizes=drawn.sizes)
         signals, canonical = (drawn.values, drawn.starts), (drawn.points, drawn.offsets)
         made = strands_on_guides(*signals, canonical, here, options.length)
@@ -161,7 +157,7 @@ def retexture(
             scale = goals[members] * made.reached / arc_lengths(points, offsets)
             root = points[offsets[:-1]].repeat(counts, axis=0)
             points = root + (points - root) * scale.repeat(counts)[:, None]
-        for k, name in enumerate(names):
+        for k, name in enumerate(guides.kept[members]):
             strands[name] = points[offsets[k] : offsets[k + 1]]
 
     offsets = offsets_of([len(s) for s in strands])
@@ -182,40 +178,29 @@ def retexture(
     )
 
 
-class ToMake(NamedTuple):
-    """Strands (S,) that are asked of the sampler: arc lengths [cm], which will be cut to length instead of scaled,
-    whose axes are taken to be straight, and arc lengths [cm] that are lost at the roots.
-    """
-
-    arcs: NDArray[np.float64]
-    cut: NDArray[np.bool_]
-    straight: NDArray[np.bool_]
-    dropped: NDArray[np.float64]
-
-
 def strands_to_make(
     texture: Texture, goals: NDArray[np.float64], length: Length, seed: int, names: NDArray[np.int64]
-) -> ToMake:
-    """What to ask of the sampler for strands of these lengths (S,) [cm] and names (S,)."""
-    arcs = drawn_arcs(texture, goals, length)
-    none, every = np.zeros(len(arcs), dtype=np.bool_), np.ones(len(arcs), dtype=np.bool_)
-    ends = np.full(len(arcs), DROPPED_TURNS * texture.turn)
+) -> ToDraw:
+    """What to draw for strands of these lengths (S,) [cm] and names (S,)."""
+    kept = drawn_arcs(texture, goals, length)
+    none, every = np.zeros(len(kept), dtype=np.bool_), np.ones(len(kept), dtype=np.bool_)
+    ends = np.full(len(kept), DROPPED_TURNS * texture.turn)
     if texture.waves:
         # Ends without an axis, of every strand.
-        return ToMake(CUT_MARGIN * arcs + 2.0 * ends, every, none, ends)
+        return ToDraw(CUT_MARGIN * kept + 2.0 * ends, kept, names, every, none, ends)
     least = FEWEST_TURNS * texture.turn
     if texture.median_arc < least:
-        short, ends = none, np.zeros(len(arcs))
+        short, ends = none, np.zeros(len(kept))
     else:
-        short = arcs < least
-        ends[arcs >= texture.median_arc] = 0.0
-    spare = texture.shortest_drawn - CUT_MARGIN * arcs - 2.0 * ends
+        short = kept < least
+        ends[kept >= texture.median_arc] = 0.0
+    spare = texture.shortest_drawn - CUT_MARGIN * kept - 2.0 * ends
     piece = spare > 0.0
     begin = ends.copy()
     for row in np.flatnonzero(piece):
         begin[row] += spare[row] * np.random.default_rng([seed, int(names[row]), _PIECE]).random()
-    arcs = np.where(piece, texture.shortest_drawn, np.where(short, CUT_MARGIN * least, arcs) + ends)
-    return ToMake(arcs, short | piece, short & ~piece & texture.stiff, begin)
+    arcs = np.where(piece, texture.shortest_drawn, np.where(short, CUT_MARGIN * least, kept) + ends)
+    return ToDraw(arcs, kept, names, short | piece, short & ~piece & texture.stiff, begin)
 
 
 def drawn_arcs(texture: Texture, goals: NDArray[np.float64], length: Length) -> NDArray[np.float64]:

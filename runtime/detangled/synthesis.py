@@ -17,7 +17,7 @@ from detangled.engines import Engine, engine_of
 from detangled.groom import offsets_of
 
 BATCH = 128  # strands denoised at once: some megabytes
-_PIECE, _HAND = 1, 2  # tell what chooses a piece, and what a hand, from the stream that noise is drawn from
+_HAND = 2  # tells what chooses a hand from the stream that noise is drawn from
 
 
 def synthesise(
@@ -42,16 +42,11 @@ def synthesise(
     out = np.empty((starts[-1], 3))
     for size in np.unique(cells):
         members = np.flatnonzero(cells == size)
-        drawn = max(int(size), engine.shown)
         for first in range(0, len(members), BATCH):
             batch = members[first : first + BATCH]
             rows = starts[batch][:, None] + np.arange(size)
             generators = [np.random.default_rng([seed, int(name)]) for name in names[batch]]
-            made = engine.draw(drawn, arcs[batch] * (drawn / size), generators, steps)
-            begin = [
-                np.random.default_rng([seed, int(name), _PIECE]).integers(drawn - size + 1) for name in names[batch]
-            ]
-            made = made[np.arange(len(batch))[:, None], np.array(begin)[:, None] + np.arange(size)]
+            made = engine.draw(int(size), arcs[batch], generators, steps)
             if texture.both_hands:
                 hands = [np.random.default_rng([seed, int(name), _HAND]).choice([-1.0, 1.0]) for name in names[batch]]
                 made[:, :, 1] *= np.array(hands)[:, None]
