@@ -370,7 +370,7 @@ def in_world(new: Groom, targets: Groom, cell_width: float, column: Column) -> N
 def axis_wander(
     texture: FittedTexture, guide_lengths: np.ndarray, seed: int, rng: np.random.Generator, column: Column
 ) -> None:
-    """Centreline arc over chord of strands as they are synthesised, before any guide, against the targets' rebuilt."""
+    """Centreline arc over chord of strands as they are drawn, before any guide, against the targets' rebuilt."""
     chosen = np.sort(rng.permutation(len(guide_lengths))[:SAMPLE])
     least = max(min(FEWEST_TURNS * texture.turn, texture.median_arc), texture.shortest_drawn)
     arcs = np.maximum(guide_lengths[chosen] * texture.arc_per_axis, least)

@@ -1,6 +1,8 @@
-"""Strands whose axes wander are drawn anew, where their texture is one of strands that do not twist."""
+"""What is drawn for strands, and which are drawn anew: where hair does not twist, those whose axes wander."""
 
 from __future__ import annotations
+
+from dataclasses import replace
 
 import numpy as np
 import pytest
@@ -8,6 +10,11 @@ from numpy.typing import NDArray
 
 from detangled.base_texture import Texture
 from detangled.drawing import FAR_WANDER, ToDraw, draw_strands
+from detangled.fitted import FINETUNE
+from detangled.fitting import fit
+from detangled.groom import Groom
+from detangled.grooming.lengths import Length
+from detangled.retexturing import strands_to_make
 
 RADIUS, WAVELENGTH, TURNS = 0.5, 0.6, 24
 TURN = float(np.hypot(2.0 * np.pi * RADIUS, WAVELENGTH))
@@ -59,6 +66,28 @@ def test_strands_whose_axes_wander_are_drawn_anew() -> None:
     assert np.mean(once) == pytest.approx(2.0 / 3.0, abs=0.15)
     assert np.mean(anew) == pytest.approx((2.0 / 3.0) ** 5, abs=0.1)
     assert not (anew & ~once).any()
+
+
+def test_textures_fitted_to_coils_are_known_to_have_no_twists() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi * TURNS, 16 * TURNS)
+    coil = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), -WAVELENGTH * angle / (2.0 * np.pi)], axis=1)
+    assert fit(Groom.from_strands([coil, 1.1 * coil])).stiff
+
+
+def test_a_network_is_asked_for_no_strands_shorter_than_those_it_was_shown() -> None:
+    angle = np.linspace(0.0, 2.0 * np.pi * TURNS, 16 * TURNS)
+    coil = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), -WAVELENGTH * angle / (2.0 * np.pi)], axis=1)
+    patches = fit(Groom.from_strands([coil]))
+    network = replace(patches, method=FINETUNE)
+    goals = np.linspace(0.05, 1.5, 80) * patches.median_arc / patches.arc_per_axis
+    what, by_patches = (strands_to_make(t, goals, Length.GUIDE, 0, np.arange(80)) for t in (network, patches))
+    assert what.arcs.min() == network.median_arc
+    shorter = by_patches.arcs < network.median_arc
+    np.testing.assert_array_equal(what.arcs[~shorter], by_patches.arcs[~shorter])
+    # Cut from anywhere within, as far as there is room.
+    assert what.cut[shorter].all()
+    assert (what.dropped + what.kept <= what.arcs * (1.0 + 1e-9))[shorter].all()
+    assert (what.dropped >= by_patches.dropped).all()
 
 
 def test_a_strand_drawn_anew_depends_on_no_others() -> None:

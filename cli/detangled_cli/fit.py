@@ -24,7 +24,7 @@ from detangled_cli.targets import fitting_option
     "--training-steps",
     type=click.IntRange(min=1),
     metavar="N",
-    help="Of finetune: most steps of training. Default: 1600, fewer where strands held out gain nothing more; 600 "
+    help="Of finetune: most steps of training. Default: 1100, fewer where strands held out gain nothing more; 600 "
     "from fewer than 6 strands.",
 )
 @unit_option

@@ -22,9 +22,9 @@ class Texture:
     arc_per_axis: arc length per length along the axis, in the median.
     radius, wavelength: medians by winding [cm]; the wavelength of straight hair is NaN.
     both_hands: whether every other new strand, at random, is mirrored.
-    stiff: whether axes hardly bend, and those of short strands are taken to be straight, as a few turns do not tell;
-    not where twists bend them. waves: whether the strands are waves too weak for a centreline, whose axis is the mean
-    over a turn.
+    stiff: whether axes hardly bend, as where it was fitted to strands without twists; those of short strands are then
+    taken to be straight, as a few turns do not tell, and strands whose axes wander are drawn anew.
+    waves: whether the strands are waves too weak for a centreline, whose axis is the mean over a turn.
     shape: how radius and wavelength run from root to tip, where they are asked to; a strand is given it once it is
     drawn. All else is said of even strands.
     fewest_cells: of the grid of any strand.

@@ -1,8 +1,8 @@
 """Strands of a texture in canonical space: synthesised, read where the texture settles, and drawn again if need be.
 
 How often a strand twists cannot be changed once it is drawn. So those that twist far too often, or too seldom, are
-drawn anew from other noise, and the nearest is kept. So are those of a texture without twists whose axis wanders: to
-straighten it adds torsion.
+drawn anew from other noise, and the nearest is kept. So are those whose axis wanders where a texture was
+fitted to strands without twists: to straighten it adds torsion.
 """
 
 from __future__ import annotations
@@ -21,7 +21,7 @@ from detangled.grooming.lengths import canonical_strands
 from detangled.synthesis import synthesise
 
 REDRAWN = 4  # times at most
-# A strand further off is drawn anew: in T_f, and in arc length over chord of an axis.
+# A strand further off is drawn anew: in T_f, and in arc length over chord of an axis, less 1.
 FAR_TWIST, FAR_WANDER = 0.08, 0.1
 
 

@@ -25,7 +25,7 @@ from detangled.shape import Shape
 
 SUFFIX = ".texture"
 FORMAT = "detangled texture"
-VERSION = 6
+VERSION = 7
 PATCHES, FINETUNE = "patches", "finetune"
 METHODS = (PATCHES, FINETUNE)
 

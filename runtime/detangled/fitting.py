@@ -34,9 +34,9 @@ from detangled.usable import WHY_UNUSABLE, usable_strands
 POINTS_PER_TURN = 16  # of a new strand, and of targets before they are measured
 COARSE_CELLS = 512  # of a strand whose turns are only to be counted
 # Pairs of strands so many times as long as the targets that are drawn to see how far they are off.
-CALIBRATED_BY = (1.0, 24), (LONGER, 10)
+CALIBRATED_BY = (1.0, 48), (LONGER, 20)
 CALIBRATION_SEED = 1 << 31
-# In nine tenths of strands that do not twist torsion is beyond its median by at most this share of median curvature.
+# Of strands that do not twist nine tenths of torsion is at most this share of median curvature beyond its median.
 MOST_UNTWISTED = 0.5
 MOST_STRANDS = 400  # beyond this many, evenly chosen ones say as much
 
@@ -107,7 +107,7 @@ def _calibration(texture: FittedTexture) -> NDArray[np.float64]:
 
 
 def _let_pass(texture: FittedTexture, values: NDArray[np.float64]) -> NDArray[np.int64]:
-    """Which of the strands of signals (B, L, 3) are not drawn anew, or hardly ever."""
+    """Which of the strands of signals (B, L, 3) would not be drawn anew; the straighter half at least."""
     off = off_by_wander(texture, _straightened(texture, values).wander)
     return np.flatnonzero(~(off > max(1.0, float(np.median(off)))))
 

@@ -19,6 +19,7 @@ from detangled.engines import engine_of
 from detangled.errors import TextureError
 from detangled.fitting import POINTS_PER_TURN
 from detangled.geometry.arc import arc_lengths
+from detangled.geometry.inputs import compiled_input
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.density import check_points
 from detangled.grooming.guide_density import guides_for
@@ -115,10 +116,13 @@ def retexture(
         guides = guides if keeper is None else keeper.turned(guides)
     goals = _goals(guides, options.length)
     wanted = strands_to_make(texture, goals, options.length, options.seed, guides.kept)
-    first_points = guides.groom.offsets[:-1]
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
-        roots=unbend_roots(guides.groom.points[first_points], guides.points, guides.groom.offsets),
+        roots=unbend_roots(
+            compiled_input(guides.groom.points[guides.groom.offsets[:-1]], np.float64),
+            compiled_input(guides.points, np.float64),
+            compiled_input(guides.groom.offsets, np.int64),
+        ),
         turns=turns_about_axis(options.seed, guides.kept),
         goals=goals,
         cut=wanted.cut,
@@ -194,12 +198,13 @@ def strands_to_make(
     else:
         short = kept < least
         ends[kept >= texture.median_arc] = 0.0
-    spare = texture.shortest_drawn - CUT_MARGIN * kept - 2.0 * ends
-    piece = spare > 0.0
+    arcs = np.where(short, CUT_MARGIN * least, kept) + ends
+    piece = arcs < texture.shortest_drawn
+    spare = np.maximum(texture.shortest_drawn - CUT_MARGIN * kept - 2.0 * ends, 0.0)
     begin = ends.copy()
     for row in np.flatnonzero(piece):
         begin[row] += spare[row] * np.random.default_rng([seed, int(names[row]), _PIECE]).random()
-    arcs = np.where(piece, texture.shortest_drawn, np.where(short, CUT_MARGIN * least, kept) + ends)
+    arcs = np.maximum(arcs, texture.shortest_drawn)
     return ToDraw(arcs, kept, names, short | piece, short & ~piece & texture.stiff, begin)
 
 

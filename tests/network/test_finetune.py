@@ -139,6 +139,9 @@ def test_the_rate_falls_once_it_gains_no_more_and_the_best_is_kept(
         return evaluate(trainer, batch) + 0.1 * late  # as where it learns its strands by heart
 
     monkeypatch.setattr(finetune._Trainer, "evaluate", watched)
+    left: list[float] = []
+    train = finetune._Trainer.train
+    monkeypatch.setattr(finetune._Trainer, "train", lambda *given: left.append(given[3]) or train(*given))
     told: list[tuple[int, int, float]] = []
     tuned = fine_tune(strands, WHITENING, step, WEIGHTS, QUICK, progress=lambda *at: told.append(at))
     steps, _, scores = np.array(tuned.curve).T
@@ -152,6 +155,8 @@ def test_the_rate_falls_once_it_gains_no_more_and_the_best_is_kept(
     gained = scores[1:] < np.minimum.accumulate(scores)[:-1] * (1.0 - QUICK.least_gain)
     assert not gained[before : before + QUICK.patience].any()
     assert all(gained[k : k + QUICK.patience].any() for k in range(before))
+    np.testing.assert_array_equal(left[:since], 1.0)
+    np.testing.assert_allclose(left[since:], np.arange(end - since, 0, -1) / (end - since + 1))
     # It says each step, of how many at most.
     assert [at[:2] for at in told] == [(k, QUICK.most_steps if k <= since else end) for k in range(1, end + 1)]
     # The weights are those of the best step, not of the last.

@@ -21,7 +21,7 @@ from detangled.models import Model
 MOST_THREADS = 2
 MIRRORED_FROM = 0.1  # share of the strands that curl the rarer way
 FEWEST_TO_HOLD_OUT = 6
-HELD_OUT_SHARE = 6  # one strand in so many is held out, to see when to stop
+HELD_OUT_SHARE = 6  # one strand in so many is held out, to see when it gains no more
 EVALUATED_BATCHES = 8
 LEAST_RATE = 0.02  # of the learning rate, at the end of its fall
 FALL_SHARE = 0.4  # of the most steps

@@ -65,9 +65,8 @@ class Seats:
     lengths. cut: (S,), strands that are made too long and cut. straight: (S,), those whose axes are taken to be
     straight: a few turns do not say how an axis bends, and to unbend what was found of it would add torsion. dropped:
     (S,), arc lengths [cm] that strands lose at the root. axis: how theirs are found. shape: given to canonical strands.
-    sizes: (S, 2), factors that radius and wavelength of
-    canonical strands are given first; None for none. room: what keeps the strands out of a head; None where there is
-    none.
+    sizes: (S, 2), factors that radius and wavelength of canonical strands are given first; None for none. room: what
+    keeps the strands out of a head; None where there is none.
     """
 
     guides: Groom

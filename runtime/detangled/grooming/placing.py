@@ -55,7 +55,7 @@ def bend(canonical: NDArray[np.float64], dense: NDArray[np.float64], along: NDAr
     frames = guide_frames(dense)
     n = canonical.shape[0]
     out = np.empty((n, 3))
-    place = np.empty((4, 3))
+    place = np.empty((3, 3))
     k = 0
     for i in range(n):
         k = _place_at(-canonical[i, 2], dense, along, frames, k, place)
@@ -73,7 +73,7 @@ def _place_at(
     k: int,
     place: NDArray[np.float64],
 ) -> int:
-    """Fill ``place`` (4, 3): the guide's point at arc length ``s``, and where canonical x, y and -z point there.
+    """Fill ``place`` (3, 3): the guide's point at arc length ``s``, and where canonical x and y point there.
 
     k: the guide's sample to look from; the one that was found is returned.
     """
@@ -103,17 +103,19 @@ def _place_at(
         place[2, c] -= down * place[1, c]
         size += place[2, c] * place[2, c]
     place[2] /= np.sqrt(size)
-    place[3] = np.cross(place[2], place[1])
     return k
 
 
 @kernel
 def unbend_root(root: NDArray[np.float64], guide: NDArray[np.float64]) -> NDArray[np.float64]:
-    """What ``bend_onto`` takes to ``root`` (3,) [cm], a place beside the root of the guide (g, 3): (3,)."""
+    """What ``bend_onto`` takes to ``root`` (3,) [cm], a place beside the root of the guide (g, 3): (3,).
+
+    Where the guide bends more sharply than about the root, which then has several such places, the nearest found.
+    """
     dense, along = dense_guide(guide)
     frames = guide_frames(dense)
     canonical = np.zeros(3)
-    place = np.empty((4, 3))
+    place = np.empty((3, 3))
     missing = np.empty(3)
     nearest = np.zeros(3)
     least = np.inf
@@ -130,7 +132,7 @@ def unbend_root(root: NDArray[np.float64], guide: NDArray[np.float64]) -> NDArra
             break
         canonical[0] += (missing * place[1]).sum()
         canonical[1] += (missing * place[2]).sum()
-        canonical[2] -= (missing * place[3]).sum()
+        canonical[2] += (missing * np.cross(place[1], place[2])).sum()
     return nearest
 
 
