@@ -68,16 +68,17 @@ def test_strands_whose_axes_wander_are_drawn_anew() -> None:
     assert not (anew & ~once).any()
 
 
-def test_textures_fitted_to_coils_are_known_to_have_no_twists() -> None:
+def coil() -> NDArray[np.float64]:
     angle = np.linspace(0.0, 2.0 * np.pi * TURNS, 16 * TURNS)
-    coil = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), -WAVELENGTH * angle / (2.0 * np.pi)], axis=1)
-    assert fit(Groom.from_strands([coil, 1.1 * coil])).stiff
+    return np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), -WAVELENGTH * angle / (2.0 * np.pi)], axis=1)
+
+
+def test_textures_fitted_to_coils_are_known_to_have_no_twists() -> None:
+    assert fit(Groom.from_strands([coil(), 1.1 * coil()])).stiff
 
 
 def test_a_network_is_asked_for_no_strands_shorter_than_those_it_was_shown() -> None:
-    angle = np.linspace(0.0, 2.0 * np.pi * TURNS, 16 * TURNS)
-    coil = np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), -WAVELENGTH * angle / (2.0 * np.pi)], axis=1)
-    patches = fit(Groom.from_strands([coil]))
+    patches = fit(Groom.from_strands([coil()]))
     network = replace(patches, method=FINETUNE)
     goals = np.linspace(0.05, 1.5, 80) * patches.median_arc / patches.arc_per_axis
     what, by_patches = (strands_to_make(t, goals, Length.GUIDE, 0, np.arange(80)) for t in (network, patches))
