@@ -375,7 +375,7 @@ def axis_wander(
     least = max(min(FEWEST_TURNS * texture.turn, texture.median_arc), texture.shortest_drawn)
     arcs = np.maximum(guide_lengths[chosen] * texture.arc_per_axis, least)
     none = np.zeros(len(arcs))
-    what = ToDraw(arcs, arcs, chosen.astype(np.int64), cut=none > 0.0, straight=none > 0.0, dropped=none)
+    what = ToDraw(arcs, arcs, chosen.astype(np.int64), cut=none > 0.0, straight=none > 0.0, dropped=none, spare=none)
     made = draw_strands(texture, what, seed, DEFAULT_STEPS, None, engine_of(texture))
     found = []
     for values, starts in ((texture.signals, texture.starts), (made.values, made.starts)):

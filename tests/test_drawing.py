@@ -51,7 +51,7 @@ def texture(stiff: bool) -> Texture:
 def bent(stiff: bool, names: list[int]) -> NDArray[np.bool_]:
     count = len(names)
     arcs, none = np.full(count, TURNS * TURN), np.zeros(count)
-    what = ToDraw(arcs, arcs, np.array(names), cut=none > 0.0, straight=none > 0.0, dropped=none)
+    what = ToDraw(arcs, arcs, np.array(names), cut=none > 0.0, straight=none > 0.0, dropped=none, spare=none)
     drawn = draw_strands(texture(stiff), what, 5, 1, None, OftenBent())
     found = drawn.values[:, 1].reshape(count, -1).max(axis=1) > 2.0
     if stiff:
@@ -81,14 +81,15 @@ def test_a_network_is_asked_for_no_strands_shorter_than_those_it_was_shown() -> 
     patches = fit(Groom.from_strands([coil()]))
     network = replace(patches, method=FINETUNE)
     goals = np.linspace(0.05, 1.5, 80) * patches.median_arc / patches.arc_per_axis
-    what, by_patches = (strands_to_make(t, goals, Length.GUIDE, 0, np.arange(80)) for t in (network, patches))
+    what, by_patches = (strands_to_make(t, goals, Length.GUIDE, np.arange(80)) for t in (network, patches))
     assert what.arcs.min() == network.median_arc
     shorter = by_patches.arcs < network.median_arc
     np.testing.assert_array_equal(what.arcs[~shorter], by_patches.arcs[~shorter])
     # Cut from anywhere within, as far as there is room.
     assert what.cut[shorter].all()
-    assert (what.dropped + what.kept <= what.arcs * (1.0 + 1e-9))[shorter].all()
-    assert (what.dropped >= by_patches.dropped).all()
+    assert (what.dropped + what.spare + what.kept <= what.arcs * (1.0 + 1e-9))[shorter].all()
+    np.testing.assert_array_equal(what.dropped, by_patches.dropped)
+    assert (what.spare > 0.0)[shorter].any() and not what.spare[~shorter].any()
 
 
 def test_a_strand_drawn_anew_depends_on_no_others() -> None:

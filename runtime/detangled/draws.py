@@ -59,13 +59,13 @@ def settled(
 ) -> AnyTexture:
     """A texture whose strands are each resized until they read as hair of these numbers [cm], T_f, does.
 
-    drawn: strands of it, of whatever size, which spare to draw others. Where most of its strands cannot be read they
+    drawn: strands much like its own, which spare to draw some at first. Where most of its strands cannot be read they
     are left as they are drawn.
     """
     if twist > FEW_TWISTS:
         return replace(texture, settling=Settling(BY_LABELS, radius, wavelength, twist))
-    for seed in range(SEED, SEED + (ROUNDS if drawn is None else 1)):
-        strands = some_drawn(texture, seed) if drawn is None else drawn
+    for seed in range(SEED, SEED + ROUNDS):
+        strands = drawn if drawn is not None and seed == SEED else some_drawn(texture, seed)
         extents = np.array([_middle(values) for values in read(strands, BY_EXTENT)[0].T])
         # What a strand extends is a little more than winding says.
         wanted = extents * np.array([radius, wavelength]) / _wound(strands)

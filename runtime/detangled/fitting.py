@@ -25,7 +25,7 @@ from detangled.geometry.signal import signals
 from detangled.geometry.winding import winding
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import style_guides
-from detangled.grooming.lengths import Straightened, canonical_strands
+from detangled.grooming.lengths import Straightened, straightened
 from detangled.grooming.placing import resample
 from detangled.kernels import thread_count
 from detangled.models import DENOISER, TRAINING_STEP, load_model, same_network
@@ -108,7 +108,7 @@ def _calibration(texture: FittedTexture) -> NDArray[np.float64]:
 
 def _let_pass(texture: FittedTexture, values: NDArray[np.float64]) -> NDArray[np.int64]:
     """Which of the strands of signals (B, L, 3) would not be drawn anew; the straighter half at least."""
-    off = off_by_wander(texture, _straightened(texture, values).wander)
+    off = off_by_wander(texture, _straightened(texture, values))
     return np.flatnonzero(~(off > max(1.0, float(np.median(off)))))
 
 
@@ -124,8 +124,9 @@ def _as_made(values: NDArray[np.float64], texture: FittedTexture) -> NDArray[np.
 def _straightened(texture: FittedTexture, values: NDArray[np.float64]) -> Straightened:
     """Strands of signals (B, L, 3) as they are made, of their whole lengths."""
     count, cells, _ = values.shape
-    starts, none = np.arange(count + 1) * cells, np.zeros(count, dtype=np.bool_)
-    return canonical_strands(values.reshape(-1, 3), starts, none, np.zeros(count), texture.axis)
+    return straightened(
+        values.reshape(-1, 3), np.arange(count + 1) * cells, np.zeros(count, dtype=np.bool_), texture.axis
+    )
 
 
 def measured(groom: Groom, grid: Grid) -> FittedTexture:

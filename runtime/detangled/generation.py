@@ -52,7 +52,7 @@ def generate(
     lengths = np.array(np.broadcast_to(given, (count,)))
     check_points(count, points_to_make(texture, lengths, Length.STRAND), "--count or --length")
     spare = SPARE if texture.settling is None else SPARE * MOST_RESIZED
-    wanted = strands_to_make(texture, lengths * spare, Length.STRAND, seed, np.arange(count))
+    wanted = strands_to_make(texture, lengths * spare, Length.STRAND, np.arange(count))
     wanted = replace(wanted, kept=drawn_arcs(texture, lengths, Length.STRAND))
     engine = engine_of(texture)
     strands: list[NDArray[np.float64]] = []

@@ -39,7 +39,6 @@ CUT_MARGIN = 1.1
 # An axis is known least well at a strand's ends. Hair shorter than a texture's examples is as their middles are: it
 # loses so much at its root. Longer hair has ends as theirs are read.
 DROPPED_TURNS = 1.5
-_PIECE = 3  # tells what chooses a piece of a strand from other streams of random numbers
 LENGTH_TOLERANCE = 1e-3
 
 
@@ -115,7 +114,7 @@ def retexture(
         check_points(len(guides.kept), total)
         guides = guides if keeper is None else keeper.turned(guides)
     goals = _goals(guides, options.length)
-    wanted = strands_to_make(texture, goals, options.length, options.seed, guides.kept)
+    wanted = strands_to_make(texture, goals, options.length, guides.kept)
     seats = Seats(
         guides=replace(guides.groom, points=guides.points, attributes={}),
         roots=unbend_roots(
@@ -144,7 +143,7 @@ def retexture(
     for first in range(0, len(order), CHUNK):
         members = np.sort(order[first : first + CHUNK])
         drawn = draw_strands(texture, wanted.select(members), options.seed, options.steps, progress, engine)
-        here = replace(seats.select(members), sizes=drawn.sizes)
+        here = replace(seats.select(members), sizes=drawn.sizes, dropped=drawn.dropped)
         signals, canonical = (drawn.values, drawn.starts), (drawn.points, drawn.offsets)
         made = strands_on_guides(*signals, canonical, here, options.length)
         reached[members] = made.reached
@@ -182,30 +181,26 @@ def retexture(
     )
 
 
-def strands_to_make(
-    texture: Texture, goals: NDArray[np.float64], length: Length, seed: int, names: NDArray[np.int64]
-) -> ToDraw:
+def strands_to_make(texture: Texture, goals: NDArray[np.float64], length: Length, names: NDArray[np.int64]) -> ToDraw:
     """What to draw for strands of these lengths (S,) [cm] and names (S,)."""
     kept = drawn_arcs(texture, goals, length)
     none, every = np.zeros(len(kept), dtype=np.bool_), np.ones(len(kept), dtype=np.bool_)
+    nothing = np.zeros(len(kept))
     ends = np.full(len(kept), DROPPED_TURNS * texture.turn)
     if texture.waves:
         # Ends without an axis, of every strand.
-        return ToDraw(CUT_MARGIN * kept + 2.0 * ends, kept, names, every, none, ends)
+        return ToDraw(CUT_MARGIN * kept + 2.0 * ends, kept, names, every, none, ends, nothing)
     least = FEWEST_TURNS * texture.turn
     if texture.median_arc < least:
-        short, ends = none, np.zeros(len(kept))
+        short, ends = none, nothing
     else:
         short = kept < least
         ends[kept >= texture.median_arc] = 0.0
     arcs = np.where(short, CUT_MARGIN * least, kept) + ends
     piece = arcs < texture.shortest_drawn
-    spare = np.maximum(texture.shortest_drawn - CUT_MARGIN * kept - 2.0 * ends, 0.0)
-    begin = ends.copy()
-    for row in np.flatnonzero(piece):
-        begin[row] += spare[row] * np.random.default_rng([seed, int(names[row]), _PIECE]).random()
     arcs = np.maximum(arcs, texture.shortest_drawn)
-    return ToDraw(arcs, kept, names, short | piece, short & ~piece & texture.stiff, begin)
+    spare = np.where(piece, np.maximum(arcs - CUT_MARGIN * kept - 2.0 * ends, 0.0), 0.0)
+    return ToDraw(arcs, kept, names, short | piece, short & ~piece & texture.stiff, ends, spare)
 
 
 def drawn_arcs(texture: Texture, goals: NDArray[np.float64], length: Length) -> NDArray[np.float64]:

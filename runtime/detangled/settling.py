@@ -15,6 +15,7 @@ import numpy as np
 from numpy.typing import NDArray
 
 from detangled.geometry.arc import arc_lengths, arc_positions
+from detangled.geometry.waves import is_weak
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.lengths import resized
 from detangled.grooming.placing import cut, resample
@@ -25,6 +26,7 @@ from detangled.texture import arc_of_a_turn
 BY_LABELS, BY_EXTENT = "labels", "extent"
 ROUNDS = 2  # of resizing: a strand made larger is cut earlier
 MOST_RESIZED = 1.4  # one strand, beside the others of its texture; so much more hair is drawn, to cut from
+MOST_WIDENED = 4.0  # one that is a weak wave: wider or narrower it is hardly longer
 # Of strands that are read, about as they will be written: reading what is drawn, finer still, takes minutes.
 POINTS_PER_TURN, FEWEST_POINTS = 32.0, 64
 
@@ -57,11 +59,12 @@ class Settling:
         of them, and are read. Raises ModelError where the labelers are missing or damaged.
         """
         wanted = np.array([self.radius, self.wavelength])
+        most = np.array([MOST_WIDENED if is_weak(*wanted) else MOST_RESIZED, MOST_RESIZED])
         sizes, twists = np.ones((len(offsets) - 1, 2)), np.full(len(offsets) - 1, np.nan)
         for _ in range(ROUNDS):
             now = resized(points, offsets, sizes)
             found, twists = self._read(*cut(now, offsets, arc_positions(now, offsets), lengths))
-            better = np.clip(sizes * wanted / np.maximum(found, 1e-3), 1.0 / MOST_RESIZED, MOST_RESIZED)
+            better = np.clip(sizes * wanted / np.maximum(found, 1e-3), 1.0 / most, most)
             sizes = np.where(np.isfinite(better).all(axis=1, keepdims=True), better, sizes)
         return sizes, twists
 

@@ -108,14 +108,11 @@ class Built(NamedTuple):
 
 
 class Straightened(NamedTuple):
-    """Strands in canonical space, finely sampled: points (P, 3) [cm] and offsets (S + 1,).
-
-    wander: (S,), arc length over chord of the axes that they had.
-    """
+    """Strands in canonical space, and the axes that they had, both (P, 3) [cm], finely sampled; offsets (S + 1,)."""
 
     points: NDArray[np.float64]
+    axes: NDArray[np.float64]
     offsets: NDArray[np.int64]
-    wander: NDArray[np.float64]
 
 
 class Seated(NamedTuple):
@@ -135,7 +132,7 @@ def strands_on_guides(
 ) -> Seated:
     """Build strands of signals (C, 3), those of strand s from row starts[s] on, on their guides at their lengths.
 
-    drawn: what ``canonical_strands`` makes of these, points (P, 3) [cm] and offsets (S + 1,).
+    drawn: these straightened and without what they lose at the root, points (P, 3) [cm] and offsets (S + 1,).
     """
     values = values.copy()
     count = len(starts) - 1
@@ -148,7 +145,8 @@ def strands_on_guides(
         chosen = seats.select(todo)
         if rounds > 1:
             rows = _rows(values, starts, todo)
-            drawn = canonical_strands(*rows, chosen.straight, chosen.dropped, chosen.axis)[:2]
+            whole = straightened(*rows, chosen.straight, chosen.axis)
+            drawn = without_roots(whole.points, whole.offsets, chosen.dropped)
         built = _built(*drawn, chosen, length)
         lengths, offsets = built.lengths, built.offsets
         longest = (1.0 + MOST_CUT) * goals
@@ -201,16 +199,12 @@ def _places(
     return seats.guides.points, seats.guides.offsets, seats.roots, angles
 
 
-def canonical_strands(
-    values: NDArray[np.float64],
-    starts: NDArray[np.int64],
-    straight: NDArray[np.bool_],
-    dropped: NDArray[np.float64],
-    axis: Axis,
+def straightened(
+    values: NDArray[np.float64], starts: NDArray[np.int64], straight: NDArray[np.bool_], axis: Axis
 ) -> Straightened:
     """Strands of signals (C, 3), strand s from row starts[s] on, in canonical space.
 
-    straight: (S,), those whose axes are taken to be straight. dropped: (S,), arc lengths [cm] that are lost at roots.
+    straight: (S,), those whose axes are taken to be straight.
     """
     offsets = offsets_of(curve_counts(values, starts))
     points = curves(values, starts, offsets)
@@ -218,11 +212,8 @@ def canonical_strands(
         axes = wave_axes(points, offsets, np.full(len(straight), axis.wave_turn))
     else:
         axes, _ = centerlines(points, offsets, axis.bends_over)
-        axes = _straightened(axes, offsets, straight)
-    chords = np.linalg.norm(axes[offsets[1:] - 1] - axes[offsets[:-1]], axis=1)
-    wander = arc_lengths(axes, offsets) / np.maximum(chords, 1e-12)
-    canonical = to_canonical(points, axes, offsets)
-    return Straightened(*_without_roots(canonical, offsets, dropped), wander)
+        axes = _straight_where(axes, offsets, straight)
+    return Straightened(to_canonical(points, axes, offsets), axes, offsets)
 
 
 def resized(points: NDArray[np.float64], offsets: NDArray[np.int64], sizes: NDArray[np.float64]) -> NDArray[np.float64]:
@@ -230,7 +221,7 @@ def resized(points: NDArray[np.float64], offsets: NDArray[np.int64], sizes: NDAr
     return points * np.repeat(sizes[:, [0, 0, 1]], np.diff(offsets), axis=0)
 
 
-def _straightened(
+def _straight_where(
     axes: NDArray[np.float64], offsets: NDArray[np.int64], chosen: NDArray[np.bool_]
 ) -> NDArray[np.float64]:
     """Axes (P, 3), those of the chosen strands (S,) straight from their first point to their last.
@@ -246,7 +237,7 @@ def _straightened(
     return np.where(np.repeat(chosen, counts)[:, None], first + share * (last - first), axes)
 
 
-def _without_roots(
+def without_roots(
     canonical: NDArray[np.float64], offsets: NDArray[np.int64], dropped: NDArray[np.float64]
 ) -> tuple[NDArray[np.float64], NDArray[np.int64]]:
     """Strands without their first ``dropped`` (S,) [cm], and their offsets."""

@@ -13,7 +13,7 @@ from detangled.geometry.arc import arc_lengths
 from detangled.geometry.signal import signals
 from detangled.groom import Groom, offsets_of
 from detangled.grooming.guides import style_guides
-from detangled.grooming.lengths import canonical_strands
+from detangled.grooming.lengths import straightened
 from detangled.texture import hair_type
 from detangled.view.gallery.figure import Drawn, Figure, Setting
 from detangled.view.gallery.sheet import FAINT, beside, page, scale_bar, stacked, words
@@ -43,10 +43,8 @@ def faster(groom: Groom, texture: Texture, times: float) -> Groom:
     starts = offsets_of(texture.grid_cells(arc_lengths(canonical, groom.offsets)))
     values = signals(canonical, groom.offsets, starts)
     values[:, 2] *= times
-    count = groom.strand_count
-    straight, dropped = np.zeros(count, dtype=np.bool_), np.zeros(count)
-    points, offsets, _ = canonical_strands(values, starts, straight, dropped, texture.axis)
-    return Groom(points, offsets, up="z")
+    made = straightened(values, starts, np.zeros(groom.strand_count, dtype=np.bool_), texture.axis)
+    return Groom(made.points, made.offsets, up="z")
 
 
 def lengthened(name: str, count: int, seed: int) -> Lengthened:
