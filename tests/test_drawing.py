@@ -68,6 +68,33 @@ def test_strands_whose_axes_wander_are_drawn_anew() -> None:
     assert not (anew & ~once).any()
 
 
+def test_pieces_are_taken_from_where_an_axis_does_not_bend() -> None:
+    count, piece = 40, 6.0 * TURN
+    arcs, none = np.full(count, TURNS * TURN), np.zeros(count)
+    what = ToDraw(
+        arcs,
+        none + piece,
+        np.arange(count),
+        cut=none == 0.0,
+        straight=none > 0.0,
+        dropped=none + TURN,
+        spare=arcs - piece - 2.0 * TURN,
+    )
+    within = {}
+    for stiff in (False, True):
+        drawn = draw_strands(texture(stiff), what, 5, 1, None, OftenBent())
+        often = drawn.values[:, 1].reshape(count, -1).max(axis=1) > 2.0
+        assert 0.5 < np.mean(often) < 0.8  # bent strands are not drawn anew if a piece of them will do
+        assert ((drawn.dropped >= TURN) & (drawn.dropped <= arcs - TURN - piece)).all()
+        assert len(np.unique(drawn.dropped)) == count
+        halfway = 0.5 * arcs
+        within[stiff] = often & (drawn.dropped < halfway) & (halfway < drawn.dropped + piece)
+        some = draw_strands(texture(stiff), what.select(np.array([3, 17])), 5, 1, None, OftenBent())
+        np.testing.assert_array_equal(some.dropped, drawn.dropped[[3, 17]])
+    assert within[False].any()
+    assert not within[True].any()
+
+
 def coil() -> NDArray[np.float64]:
     angle = np.linspace(0.0, 2.0 * np.pi * TURNS, 16 * TURNS)
     return np.stack([RADIUS * np.cos(angle), RADIUS * np.sin(angle), -WAVELENGTH * angle / (2.0 * np.pi)], axis=1)
@@ -89,7 +116,9 @@ def test_a_network_is_asked_for_no_strands_shorter_than_those_it_was_shown() -> 
     assert what.cut[shorter].all()
     assert (what.dropped + what.spare + what.kept <= what.arcs * (1.0 + 1e-9))[shorter].all()
     np.testing.assert_array_equal(what.dropped, by_patches.dropped)
-    assert (what.spare > 0.0)[shorter].any() and not what.spare[~shorter].any()
+    assert (what.spare > 0.0)[shorter].any()
+    assert not what.spare[~shorter].any()
+    assert not what.spare[~shorter].any()
 
 
 def test_a_strand_drawn_anew_depends_on_no_others() -> None:

@@ -16,8 +16,8 @@ from numpy.typing import NDArray
 
 from detangled.base_texture import Texture
 from detangled.engines import Engine
-from detangled.groom import offsets_of
 from detangled.geometry.arc import arc_positions
+from detangled.groom import offsets_of
 from detangled.grooming.lengths import Straightened, straightened, without_roots
 from detangled.kernels import parallel_kernel, prange
 from detangled.synthesis import synthesise

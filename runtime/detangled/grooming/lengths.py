@@ -14,7 +14,7 @@ from typing import NamedTuple
 import numpy as np
 from numpy.typing import NDArray
 
-from detangled.geometry.arc import arc_lengths, arc_positions
+from detangled.geometry.arc import arc_positions
 from detangled.geometry.centerline import centerlines
 from detangled.geometry.signal import curve_counts, curves
 from detangled.geometry.waves import wave_axes
