@@ -11,8 +11,6 @@ from collections.abc import Callable
 from concurrent.futures import ThreadPoolExecutor
 from dataclasses import dataclass
 from enum import IntEnum
-from functools import lru_cache
-from typing import TYPE_CHECKING
 
 import numpy as np
 from numpy.typing import NDArray
@@ -28,9 +26,6 @@ from detangled.grooming.placing import resample
 from detangled.kernels import parallel_kernel, prange, thread_count
 from detangled.models import ExportedModel, load_labeler
 from detangled.texture import HAIR_TYPES
-
-if TYPE_CHECKING:
-    import onnxruntime
 
 LOWER_PART = 2.0 / 3.0  # of a signal: the lower section, by which people name the hair
 CELLS = 256  # of the signals that are read
@@ -112,7 +107,7 @@ class LabelNetwork:
 
     def __init__(self, model: ExportedModel, threads: int = 1) -> None:
         _check_cells(model)
-        self._session = _session(model)
+        self._session = model.session(1)
         self._channels = int(self._session.get_inputs()[0].shape[2])
         self._batch = model.batch
         self._threads = threads
@@ -140,7 +135,7 @@ class LabelGradient:
 
     def __init__(self, model: ExportedModel, threads: int = 1) -> None:
         _check_cells(model)
-        self._session = _session(model)
+        self._session = model.session(1)
         self._batch = model.batch
         self._threads = threads
 
@@ -160,12 +155,6 @@ class LabelGradient:
         given = {"signals": padded(values, self._batch), "weights": padded(weights, self._batch)}
         labels, gradient = self._session.run(None, given)
         return labels[: len(values)].astype(np.float64), gradient[: len(values)].astype(np.float64)
-
-
-@lru_cache(maxsize=2)
-def _session(model: ExportedModel) -> onnxruntime.InferenceSession:
-    """A session, which is kept: strands that settle are read often, and to open one takes a quarter of a second."""
-    return model.session(1)
 
 
 def _check_cells(model: ExportedModel) -> None:

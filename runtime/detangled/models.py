@@ -12,7 +12,7 @@ import json
 import os
 from collections.abc import Iterator
 from contextlib import contextmanager
-from dataclasses import dataclass, field
+from dataclasses import dataclass
 from importlib import resources
 from pathlib import Path
 from typing import TYPE_CHECKING, Any
@@ -69,11 +69,11 @@ class ExportedModel:
     path: Path
     kind: str
     data: bytes
-    architecture: dict[str, Any] = field(hash=False)
+    architecture: dict[str, Any]
     parameters: int
     cells: int
     batch: int
-    training: dict[str, Any] = field(hash=False)
+    training: dict[str, Any]
 
     def session(self, threads: int = 1) -> onnxruntime.InferenceSession:
         """A session on so many threads."""
