@@ -118,7 +118,6 @@ def test_a_network_is_asked_for_no_strands_shorter_than_those_it_was_shown() -> 
     np.testing.assert_array_equal(what.dropped, by_patches.dropped)
     assert (what.spare > 0.0)[shorter].any()
     assert not what.spare[~shorter].any()
-    assert not what.spare[~shorter].any()
 
 
 def test_a_strand_drawn_anew_depends_on_no_others() -> None:

@@ -20,7 +20,7 @@ from detangled.groom import Groom
 from detangled.grooming.lengths import Length
 from detangled.labeling import label
 from detangled.retexturing import Options, retexture
-from detangled.settling import BY_EXTENT, BY_LABELS, MOST_RESIZED, Settling, read
+from detangled.settling import BY_EXTENT, BY_LABELS, MOST_RESIZED, MOST_WIDENED, Settling, read
 from detangled.texture import arc_of_a_turn, hair_type
 
 
@@ -55,6 +55,19 @@ def test_strands_are_resized_to_what_is_wanted_but_not_beyond_reason(by: str) ->
     np.testing.assert_allclose(sizes[0], [1.1, 0.9], rtol=0.03)
     np.testing.assert_array_equal(sizes[1], [1.0 / MOST_RESIZED, 1.0 / MOST_RESIZED])
     np.testing.assert_array_equal(sizes[2], [MOST_RESIZED, MOST_RESIZED])
+
+
+@pytest.mark.parametrize("steep", [1.05, 3.9, 4.1, 16.0])
+def test_a_weak_wave_may_become_far_narrower_but_never_much_shorter(steep: float) -> None:
+    radius, wide = 0.2, 0.75
+    wavelength = steep * 2.0 * math.pi * radius
+    groom = helices((wide, wavelength), length=60.0)
+    sizes, _ = Settling(BY_EXTENT, radius, wavelength).settle(groom.points, groom.offsets, np.array([60.0]))
+    assert (sizes[0, 0] < 1.0 / MOST_RESIZED) == (steep > MOST_WIDENED)
+    if steep > MOST_WIDENED:
+        np.testing.assert_allclose(sizes[0], [radius / wide, 1.0], rtol=0.03)
+    settled = arc_lengths(groom.points * sizes[0][[0, 0, 1]], groom.offsets)
+    assert settled[0] > 60.0 / MOST_RESIZED * (1.0 - 1e-6)
 
 
 def test_only_what_is_kept_of_a_strand_is_read() -> None:

@@ -2,7 +2,8 @@
 
 How often a strand twists cannot be changed once it is drawn. So those that twist far too often, or too seldom, are
 drawn anew from other noise, and the nearest is kept. So are those whose axis wanders where a texture was
-fitted to strands without twists: to straighten it adds torsion. A piece of a strand is taken from where it does not.
+fitted to strands without twists: to straighten it adds torsion. A piece of a strand is taken from where its
+axis does not wander.
 """
 
 from __future__ import annotations
@@ -33,9 +34,10 @@ _PIECE = 3  # tells what chooses them from the stream that noise is drawn from
 class ToDraw:
     """What strands (S,) are to be drawn.
 
-    arcs: arc lengths [cm]. kept: of them, from the root, as it will be written. names: numbers that tell them apart.
-    cut: which will be cut to length instead of scaled. straight: whose axes are taken to be straight. dropped: arc
-    lengths [cm] that are lost at the roots. spare: by so much more at most where a piece from anywhere is kept, else 0.
+    arcs: arc lengths [cm]. kept: of them, from the new root on, as it will be written. names: numbers that tell them
+    apart. cut: which will be cut to length instead of scaled. straight: whose axes are taken to be straight. dropped:
+    arc lengths [cm] that are lost at the roots. spare: how much further down [cm] a piece of a strand may begin; 0 of a
+    strand that is no piece.
     """
 
     arcs: NDArray[np.float64]
@@ -109,7 +111,7 @@ def _drawn(
     """Strands, each drawn once."""
     values, starts = synthesise(texture, what.arcs, what.names, seed, steps, progress, engine)
     whole = straightened(values, starts, what.straight, texture.axis)
-    dropped, off = _kept(texture, whole, what, seed)
+    dropped, off = _lost_at_roots(texture, whole, what, seed)
     points, offsets = without_roots(whole.points, whole.offsets, dropped)
     sizes = np.ones((len(what.arcs), 2))
     if texture.settling is not None:
@@ -119,7 +121,7 @@ def _drawn(
     return Drawn(values, starts, points, offsets, dropped, sizes, off)
 
 
-def _kept(
+def _lost_at_roots(
     texture: Texture, whole: Straightened, what: ToDraw, seed: int
 ) -> tuple[NDArray[np.float64], NDArray[np.float64]]:
     """Arc lengths (S,) [cm] that strands lose at their roots, and how far off they are by their axes (S,).
@@ -175,6 +177,9 @@ def _wander(
     for s in prange(places.shape[0]):
         last = offsets[s + 1] - 1
         for k in range(places.shape[1]):
+            if k > 0 and places[s, k] == places[s, 0]:
+                out[s, k] = out[s, 0]
+                continue
             first = offsets[s]
             while first < last and along[first] < places[s, k]:
                 first += 1

@@ -60,12 +60,12 @@ def settled(
     """A texture whose strands are each resized until they read as hair of these numbers [cm], T_f, does.
 
     drawn: strands much like its own, which spare to draw some at first. Where most of its strands cannot be read they
-    are left as they are drawn.
+    are left as they are.
     """
     if twist > FEW_TWISTS:
         return replace(texture, settling=Settling(BY_LABELS, radius, wavelength, twist))
     for seed in range(SEED, SEED + ROUNDS):
-        strands = drawn if drawn is not None and seed == SEED else some_drawn(texture, seed)
+        strands, drawn = some_drawn(texture, seed) if drawn is None else drawn, None
         extents = np.array([_middle(values) for values in read(strands, BY_EXTENT)[0].T])
         # What a strand extends is a little more than winding says.
         wanted = extents * np.array([radius, wavelength]) / _wound(strands)

@@ -4,7 +4,8 @@ About its own axis a strand may be made wider and longer without becoming anothe
 numbers, after whatever drew it, is gone at once, and along a strand its natural variation stays.
 
 Strands of many twists are read by the labelers. Where there are few, and also of waves too weak for the labelers, what
-a strand extends about its axis says as much: the root mean square of its distance from it, and of how fast that turns.
+a strand extends about its axis says as much: the root mean square of its distance from it, and how long its way across
+the axis is beside its mean distance.
 """
 
 from __future__ import annotations
@@ -26,7 +27,7 @@ from detangled.texture import arc_of_a_turn
 BY_LABELS, BY_EXTENT = "labels", "extent"
 ROUNDS = 2  # of resizing: a strand made larger is cut earlier
 MOST_RESIZED = 1.4  # one strand, beside the others of its texture; so much more hair is drawn, to cut from
-MOST_WIDENED = 4.0  # one that is a weak wave: wider or narrower it is hardly longer
+MOST_WIDENED = 4.0  # one that is a weak wave, even so wide: its length changes less than that
 # Of strands that are read, about as they will be written: reading what is drawn, finer still, takes minutes.
 POINTS_PER_TURN, FEWEST_POINTS = 32.0, 64
 
@@ -59,7 +60,8 @@ class Settling:
         of them, and are read. Raises ModelError where the labelers are missing or damaged.
         """
         wanted = np.array([self.radius, self.wavelength])
-        most = np.array([MOST_WIDENED if is_weak(*wanted) else MOST_RESIZED, MOST_RESIZED])
+        gentle = self.by == BY_EXTENT and is_weak(MOST_WIDENED * self.radius, self.wavelength)
+        most = np.array([MOST_WIDENED if gentle else MOST_RESIZED, MOST_RESIZED])
         sizes, twists = np.ones((len(offsets) - 1, 2)), np.full(len(offsets) - 1, np.nan)
         for _ in range(ROUNDS):
             now = resized(points, offsets, sizes)
@@ -90,7 +92,7 @@ def read(strands: Groom, by: str) -> tuple[NDArray[np.float64], NDArray[np.float
 
 @parallel_kernel
 def _extents(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray[np.float64]:
-    """Radius and wavelength (S, 2) [cm] of canonical strands by second moments about their axis; NaN if on it.
+    """Radius and wavelength (S, 2) [cm] of canonical strands by their distances from the axis; NaN if on it.
 
     Of a helix, whatever hand it has where, both are its own.
     """
@@ -98,18 +100,20 @@ def _extents(points: NDArray[np.float64], offsets: NDArray[np.int64]) -> NDArray
     for s in prange(offsets.shape[0] - 1):
         first, last = offsets[s], offsets[s + 1] - 1
         arc = 0.0
-        away = 0.0  # squares of the distance, over the arc
-        around = 0.0  # squares of the tangent's part across the axis
+        away = 0.0  # the distance, over the arc
+        squares = 0.0  # and its square
+        across = 0.0  # the way across the axis
         for i in range(first, last):
             x, y, z = points[i + 1] - points[i]
             step = np.sqrt(x * x + y * y + z * z)
-            if step > 0.0:
-                middle_x, middle_y = 0.5 * (points[i, 0] + points[i + 1, 0]), 0.5 * (points[i, 1] + points[i + 1, 1])
-                arc += step
-                away += step * (middle_x * middle_x + middle_y * middle_y)
-                around += (x * x + y * y) / step
+            middle_x, middle_y = 0.5 * (points[i, 0] + points[i + 1, 0]), 0.5 * (points[i, 1] + points[i + 1, 1])
+            square = middle_x * middle_x + middle_y * middle_y
+            arc += step
+            away += step * np.sqrt(square)
+            squares += step * square
+            across += np.sqrt(x * x + y * y)
         fall = abs(points[last, 2] - points[first, 2])
-        if away > 0.0 and around > 0.0 and fall > 0.0:
-            out[s, 0] = np.sqrt(away / arc)
-            out[s, 1] = 2.0 * np.pi * np.sqrt(away / around) * fall / arc
+        if squares > 0.0 and across > 0.0 and fall > 0.0:
+            out[s, 0] = np.sqrt(squares / arc)
+            out[s, 1] = 2.0 * np.pi * away / across * fall / arc
     return out
