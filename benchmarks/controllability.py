@@ -33,6 +33,7 @@ from detangled.groom import Groom
 from detangled.labeling import Reading, label
 from detangled.library import load_library
 from detangled.models import LABELER, ExportedModel, load_labeler
+from detangled.numbered import GUIDED
 from detangled.texture import HAIR_TYPES, Profile, arc_of_a_turn
 from detangled_training.library import MARGIN_TURNS
 from detangled_training.signals import straightened
@@ -40,7 +41,8 @@ from detangled_training.strands import Recipes, make_strands
 from measures import JUDGE
 
 LENGTHS = (8.0, 40.0)  # [cm]
-SIZE_BOUND, TWIST_BOUND, FAILED_BOUND = 0.05, 0.08, 0.01
+# Of radius and wavelength, in parts of them, and of twist: of any method, and of the paper's guidance alone.
+BOUNDS, GUIDED_BOUNDS, FAILED_BOUND = (0.05, 0.08), (0.1, 0.1), 0.01
 BY_WINDING = 0.2  # twist prevalence up to which winding judges
 # A strand bends or twists by more than these times what a helix of its numbers does: it failed.
 MOST_RATE = 12.0
@@ -98,10 +100,11 @@ def main(arguments: list[str] | None = None) -> int:
             flush=True,
         )
     columns, least = np.array(found), np.array(floors)
+    size_bound, twist_bound = GUIDED_BOUNDS if options.method == GUIDED else BOUNDS
     ok = True
     for title, part in (("types", slice(0, len(HAIR_TYPES))), ("random", slice(len(HAIR_TYPES), None))):
         for column, bound, what_is in (
-            (0, SIZE_BOUND, "radius"), (1, SIZE_BOUND, "wavelength"), (2, TWIST_BOUND, "twist"),
+            (0, size_bound, "radius"), (1, size_bound, "wavelength"), (2, twist_bound, "twist"),
         ):  # fmt: skip
             values, constructed_ones = columns[part, column], least[part, column]
             if len(values) == 0:
