@@ -416,13 +416,13 @@ def main(arguments: list[str] | None = None) -> int:
     parser.add_argument("--seed", type=int, default=0)
     parser.add_argument("--method", choices=METHODS, default=METHODS[0])
     parser.add_argument(
-        "--halvings", type=int, help=f"of the targets; default: {HALVINGS}, or 1 where a network is trained"
+        "--halvings", type=int, help=f"of the targets; default: {HALVINGS}, or 2 where a network is trained"
     )
     parser.add_argument("--textures", type=Path, help="keep what is fitted in this folder, and take it from there")
     options = parser.parse_args(arguments)
     if options.textures is not None:
         options.textures.mkdir(parents=True, exist_ok=True)
-    options.halvings = options.halvings or (1 if options.method == FINETUNE else HALVINGS)
+    options.halvings = options.halvings or (2 if options.method == FINETUNE else HALVINGS)
     jobs = options.jobs.split(",")
     if unknown := set(jobs) - set(EVERY):
         parser.error(f"no such job: {', '.join(sorted(unknown))}; these are: {', '.join(EVERY)}")
