@@ -27,7 +27,7 @@ from detangled.texture import arc_of_a_turn
 BY_LABELS, BY_EXTENT = "labels", "extent"
 ROUNDS = 2  # of resizing: a strand made larger is cut earlier
 MOST_RESIZED = 1.4  # one strand, beside the others of its texture; so much more hair is drawn, to cut from
-MOST_WIDENED = 4.0  # one that is a weak wave, even so wide: its length changes less than that
+MOST_WIDENED = 4.0  # the radius of a wave that is weak even if so wide: of its arc it loses less than 1.4 times
 # Of strands that are read, about as they will be written: reading what is drawn, finer still, takes minutes.
 POINTS_PER_TURN, FEWEST_POINTS = 32.0, 64
 
